@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from steerkit.compiled import compile, gradient
+from steerkit.compiled import compile
+from steerkit.compiled.gradient import gradient
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.loop import Loop
 from steerkit.paths.courses import course

@@ -39,14 +39,13 @@ from steerkit.scenario.assembly import placed
 from steerkit.task import DT
 from steerkit.vehicles import vehicle
 
-BACKENDS: tuple[Backend, ...] = ("python", "vm", "c")
+BACKENDS: tuple[Backend, ...] = ("python", "c")
 SPEED, CARS = 6.0, 1000
 CAR = vehicle("vw-passat")
 DIAGRAM, ONE = (f"python-control, {how}" for how in ("same diagram", "one function"))
 MANY = f"C, {CARS} cars"
 NEEDED = {
     "interpreted_x": 5,
-    "compiled_vm_x": 60,
     "compiled_c_x": 250,
     "batch_x": 400,
     "batch_linear_x": 3000,
@@ -100,8 +99,6 @@ def contestants(loop: Loop, quick: bool) -> list[Contestant]:
     ways.append(Contestant("simulate", n, lambda: simulate(loop, n * DT, state=start, record=["path.e"])))
     for name, options, size in (
         ("generated Python", {"backend": "python"}, 2000),
-        ("CasADi VM", {"backend": "vm"}, 8000),
-        ("CasADi VM, collapsed", {"backend": "vm", "collapse": True}, 8000),
         ("C", {"backend": "c"}, 40000),
         ("C, collapsed", {"backend": "c", "collapse": True}, 40000),
     ):
@@ -171,8 +168,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     result: dict[str, Any] = {
         "interpreted_x": max(ratios["simulate"], ratios["generated Python"]),
         "simulate_x": ratios["simulate"],
-        "compiled_vm_x": max(ratios["CasADi VM"], ratios["CasADi VM, collapsed"]),
-        "compiled_vm_uncollapsed_x": ratios["CasADi VM"],
         "compiled_c_x": ratios["C"],
         "batch_x": ratios[MANY],
         "batch_linear_x": ratios[f"{MANY}, collapsed"],

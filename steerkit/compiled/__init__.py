@@ -1,9 +1,9 @@
-"""Loops at the speed of C: `compile` turns a loop into straight-line Python, CasADi functions or C.
+"""Loops at the speed of C: `compile` turns a loop into straight-line Python or C.
 
-A loop is run once on CasADi symbols (`trace`), which leaves a list of instructions a tick (`graph`); from that list
-the backends are generated: `python_code` (floats), `vm` (CasADi, also for gradients) and `native` (C, with `cache`).
-All give the trajectory of `simulate` to rounding: the Python code bit for bit, the others to about 1e-13. A block with
-a `steerkit.diagram.maths.Routine` (a solver, for example) runs in C, which calls its Python function, and in Python.
+A loop is run once on symbols (`trace`), which leaves a list of instructions a tick (`graph`); from that list the
+backends are generated: `python_code` (floats) and `c_code`. Both give the trajectory of `simulate` to rounding: the
+Python code bit for bit, C to about 1e-13. A block with a `steerkit.diagram.maths.Routine` (a solver, for example) runs
+in C, which calls its Python function, and in Python. `gradient` differentiates a run, by CasADi.
 """
 
 from __future__ import annotations
@@ -17,20 +17,18 @@ from typing import Any, Literal
 import numpy as np
 
 from steerkit._support.native import NoCompilerError, compiler
-from steerkit.compiled.gradient import Cost, gradient
 from steerkit.compiled.native_program import NativeProgram, Slots
 from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, trace, with_parameters
-from steerkit.compiled.vm import VmProgram
 from steerkit.diagram.loop import Loop, LoopState, Sample, require_batch
 from steerkit.diagram.simulation import Log, Signal, check_finite
 
-__all__ = ["Compiled", "Cost", "NoCompilerError", "TraceError", "compile", "gradient"]
+__all__ = ["Compiled", "NoCompilerError", "TraceError", "compile"]
 
 _PROGRAMS = 4  # made for different held values, before the general one serves all others
 _WORTH_IT = 0.9  # share of the operations that is left, to make a program of its own
 
-Backend = Literal["auto", "python", "vm", "c"]
+Backend = Literal["auto", "python", "c"]
 
 
 def compile(
@@ -44,8 +42,8 @@ def compile(
 ) -> Compiled:
     """A loop as fast as the machine allows; runs give the same `Log` as `simulate`.
 
-    backend: "c" (through gcc, kept in a cache on disk; for one car and for many), "vm" (CasADi, no compiler needed),
-    "python" (generated floats, quickest to make) or "auto": C where there is a compiler, else the VM and a warning.
+    backend: "c" (through gcc, kept in a cache on disk; for one car and for many), "python" (generated floats, quickest
+    to make) or "auto": C where there is a compiler, else Python and a warning.
     record: signals to keep (default: all); every: keep one tick in `every`. parameters: block fields to leave open,
     such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car (for a field that is a
     tuple, such as a policy's weights: an array (n,), or (n, N) for N cars). collapse: take signals
@@ -78,17 +76,16 @@ class Compiled:
     ):
         if every < 1:
             raise ValueError(f"compile: every = {every}, expected a whole number >= 1")
-        if backend not in ("auto", "python", "vm", "c"):
-            raise ValueError(f"compile: backend {backend!r}; valid: auto, python, vm, c")
-        if backend == "auto":
-            backend = "c" if compiler() else "vm"
-            if backend == "vm":
-                warnings.warn("no C compiler found: the loop runs in CasADi's VM; install gcc or set CC", stacklevel=3)
-        if backend == "c" and not compiler():
-            raise NoCompilerError("compile: backend 'c' needs a C compiler: install gcc or set CC; or backend='vm'")
+        if backend not in ("auto", "python", "c"):
+            raise ValueError(f"compile: backend {backend!r}; valid: auto, python, c")
+        if backend != "python" and not compiler():
+            if backend == "c":
+                raise NoCompilerError("compile: backend 'c' needs a C compiler: install gcc or set CC; or 'python'")
+            warnings.warn("no C compiler found: the loop runs in generated Python; install gcc or set CC", stacklevel=3)
+        self.backend: Backend = "python" if backend == "python" or not compiler() else "c"
         start = time.perf_counter()
-        self.loop, self.backend, self.every = loop, backend, every
-        self.trace: Trace = trace(loop, parameters=parameters, routines=backend != "vm")
+        self.loop, self.every = loop, every
+        self.trace: Trace = trace(loop, parameters=parameters, routines=True)
         self.parameters = tuple(parameters)
         names = list(loop.units) if record is None else [r if isinstance(r, str) else loop.port_name(r) for r in record]
         for name in names:
@@ -172,21 +169,14 @@ class Compiled:
         program = self._program(slots)
         if isinstance(program, NativeProgram):
             return program.run(k, stop, np.array(slots), np.array(parameters))
-        if isinstance(program, PythonProgram):
-            kept: list[tuple[float, ...]] = []
-            persistent = program.run(k, stop - 1, slots, parameters, kept)
-            for slot, value in zip(program.trace.persistent, persistent):
-                slots[slot] = value
-            last = program.finish(stop - 1, slots, parameters)
-            if (stop - 1) % self.every == 0:
-                kept.append(tuple([last[slot] for slot in self._slots]))
-            return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), lambda: last
-        z = np.array([float(k), *[slots[slot] for slot in program.trace.persistent], *parameters])
-        parts = [part[-first % self.every :: self.every] for first, part in program.run(k, stop - 1, z)]
-        end = np.asarray(program.finish((stop - 1) % self.loop.period)(z)).ravel()
+        kept: list[tuple[float, ...]] = []
+        persistent = program.run(k, stop - 1, slots, parameters, kept)
+        for slot, value in zip(program.trace.persistent, persistent):
+            slots[slot] = value
+        last = program.finish(stop - 1, slots, parameters)
         if (stop - 1) % self.every == 0:
-            parts.append(end[None, self._slots])
-        return np.concatenate(parts) if parts else np.empty((0, len(self._slots))), lambda: end
+            kept.append(tuple([last[slot] for slot in self._slots]))
+        return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), lambda: last
 
     def _many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[Any, Slots]:
         program = self._program(slots)
@@ -218,9 +208,7 @@ class Compiled:
     def _made(self, trace: Trace) -> Any:
         if self.backend == "c":
             return NativeProgram(trace, self._slots, self.every)
-        if self.backend == "python":
-            return PythonProgram(trace, self._slots, self.every)
-        return VmProgram(trace, self._slots)
+        return PythonProgram(trace, self._slots, self.every)
 
     def _state(self, k: int, end: Any) -> LoopState:
         values = [float(v) if np.ndim(v) == 0 else np.array(v) for v in end]

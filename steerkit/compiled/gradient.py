@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi
 import numpy as np
 
-from steerkit.compiled.trace import Layout, trace
-from steerkit.compiled.vm import VmProgram
+from steerkit.compiled.trace import Layout, with_parameters
 from steerkit.diagram.loop import Loop, LoopState, Sample
 
 Cost = Callable[[Sequence[float]], tuple[float, np.ndarray]]
@@ -26,53 +24,47 @@ def gradient(
 ) -> Cost:
     """A function of parameter values that gives the mean of `cost` over a run, and its gradient.
 
-        J(p) = 1/T sum_k cost(y_k(p)),   S_{k+1} = dF/dz S_k + dF/dp
+        J(p) = 1/T sum_k cost(y_k(p)),   S_{k+1} = dF/dz S_k
 
-    dJ/dp by forward sensitivities S of the loop's state z, one column a parameter, next to the run itself and in the
-    same pass.
+    dJ/dp by forward sensitivities S of what goes from period to period, z = [J, p, state], one column a parameter, next
+    to the run itself and in the same pass.
 
     cost: of one sample, in `steerkit.diagram.maths`: `lambda y: y["path.e"] ** 2`. parameters: block fields, such as
     "controller.k". state: where to start, the same for all values (default: `loop.init()`). The gradient is that of
-    the branch taken: at a limit or a table's knot it is one-sided. Raises TraceError as `compile` does.
+    the branch taken: at a limit or a table's knot it is one-sided. Raises TraceError for an unknown field, ValueError
+    for a start within a period.
     """
-    graphs = trace(loop, parameters=parameters)
     start = loop.init() if state is None else state
     if start.k % loop.period:
         raise ValueError(f"gradient: state at tick {start.k}, expected a multiple of the loop's period {loop.period}")
-    outputs = [slot for name in loop.units for slot in graphs.layout.slots_of(name)]
-    program = VmProgram(graphs, outputs)
-    z = casadi.MX.sym("z", program.phases[0].size1_in(0))
-    end, total = z, casadi.MX(0.0)
-    of_outputs = _cost_function(loop, graphs.layout, cost)
-    for phase in program.phases:
-        end, y = phase(end)
-        total += of_outputs(y)
-    n, m = z.numel(), len(parameters)
-    so_far, sensitivity, slope = casadi.MX.sym("J"), casadi.MX.sym("S", n, m), casadi.MX.sym("dJ", 1, m)
-    tick = casadi.Function("tick", [z, so_far], [end, so_far + total])
-    after, cost_after = tick(z, so_far)
-    moved, slope_after = tick.forward(m)(z, so_far, after, cost_after, sensitivity, slope)
-    step = casadi.Function("step", [z, so_far, sensitivity, slope], [after, cost_after, moved, slope_after])
-    periods = max(1, round(duration / (loop.dt * loop.period)))
-    parts = [step.mapaccum(f"run{i}", 2**i, 4) for i in range(periods.bit_length()) if periods >> i & 1]
-    slots = graphs.layout.pack(start.x, start.y)
-    head = [float(start.k), *[float(slots[slot]) for slot in graphs.persistent]]
-    seed = np.vstack((np.zeros((n - m, m)), np.eye(m)))
+    layout, m = Layout(loop, start), len(parameters)
+    head = [float(value) for value in layout.pack(start.x, start.y)]
+    n = 2 + m + len(head)
+    z, slopes = casadi.MX.sym("z", n), casadi.MX.sym("S", n, m)
+    after = _period(loop, layout, parameters, cost, z)
+    period = casadi.Function("period", [z], [after])
+    both = casadi.horzcat(after, period.forward(m)(z, after, slopes))
+    count = max(1, round(duration / (loop.dt * loop.period)))
+    step = casadi.Function("step", [casadi.horzcat(z, slopes)], [both])
+    run = step.fold(count)
+    seed = np.vstack((np.zeros((1, m)), np.eye(m), np.zeros((n - 1 - m, m))))
 
     def evaluate(values: Sequence[float]) -> tuple[float, np.ndarray]:
-        now: list[Any] = [np.array([*head, *values]), 0.0, seed, np.zeros((1, m))]
-        for part in parts:
-            ends = part(*now)
-            now = [np.asarray(end)[:, -width:] for end, width in zip(ends, (1, 1, m, m))]
-        ticks = periods * loop.period
-        return np.asarray(now[1]).item() / ticks, now[3].ravel() / ticks
+        first = np.array([0.0, *values, float(start.k), *head])
+        total = np.asarray(run(np.column_stack((first, seed))))[0] / (count * loop.period)
+        return float(total[0]), total[1:]
 
     return evaluate
 
 
-def _cost_function(loop: Loop, layout: Layout, cost: Callable[[Sample], Any]) -> Any:
-    """The cost of one sample as a function of all outputs in slot order."""
-    first = min(slot for slot, _ in layout.signals.values())
-    symbols = casadi.SX.sym("y", len(layout) - first)
-    _, y = layout.unpack([0.0] * first + [symbols[i] for i in range(symbols.numel())])
-    return casadi.Function("cost", [symbols], [casadi.SX(cost(Sample(loop, math.nan, y)))])
+def _period(loop: Loop, layout: Layout, parameters: Sequence[str], cost: Callable[[Sample], Any], z: Any) -> Any:
+    """z = [J, p, tick, slots] after one period."""
+    total, *numbers = casadi.vertsplit(z)
+    values, (k, *slots) = numbers[: len(parameters)], numbers[len(parameters) :]
+    open_loop = with_parameters(loop, dict(zip(parameters, values)))
+    x, y = layout.unpack(slots)
+    for phase in range(loop.period):
+        t = (k + phase) * loop.dt
+        open_loop.run_phase(phase, t, x, y)
+        total += cost(Sample(open_loop, t, y))
+    return casadi.vertcat(total, *values, k + loop.period, *layout.pack(x, y))

@@ -3,72 +3,28 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
+import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
-import casadi
-
-from steerkit.compiled.symbols import CHOICE, Symbol
+from steerkit.diagram.maths import Routine, Table
 
 Node = tuple[Any, ...]
 """`(op, *operands)`: operands are numbers of earlier nodes, except of const (its hex), in (slot), row (table number,
 index, column), call (routine number, how many numbers it gives, its arguments) and result (a call, column)."""
 
-
-class Question(NamedTuple):
-    """What a table or a routine was asked while tracing."""
-
-    kind: str
-    """row or call."""
-    number: int
-    arguments: tuple[Any, ...]
-    answers: list[Any]
-    """New symbols."""
-
-
-_UNARY = {
-    casadi.OP_SQRT: "sqrt",
-    casadi.OP_SIN: "sin",
-    casadi.OP_COS: "cos",
-    casadi.OP_TAN: "tan",
-    casadi.OP_ASIN: "asin",
-    casadi.OP_ACOS: "acos",
-    casadi.OP_ATAN: "atan",
-    casadi.OP_TANH: "tanh",
-    casadi.OP_EXP: "exp",
-    casadi.OP_LOG: "log",
-    casadi.OP_FLOOR: "floor",
-    casadi.OP_FABS: "abs",
-    casadi.OP_NEG: "neg",
-}
-_BINARY = {
-    casadi.OP_ADD: "add",
-    casadi.OP_SUB: "sub",
-    casadi.OP_MUL: "mul",
-    casadi.OP_DIV: "div",
-    casadi.OP_ATAN2: "atan2",
-}
-_COMPARE = {casadi.OP_LT: "lt", casadi.OP_LE: "le", casadi.OP_EQ: "eq", casadi.OP_NE: "ne"}
-_LOGIC = {casadi.OP_AND: "and", casadi.OP_OR: "or"}
-BOOLEAN = frozenset({*_COMPARE.values(), *_LOGIC.values(), "not"})
+_COMPARE = frozenset({"lt", "le", "eq", "ne"})
+_LOGIC = frozenset({"and", "or"})
+BOOLEAN = _COMPARE | _LOGIC | {"not"}
 FUNCTIONS = frozenset({"sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "floor", "atan2"})
 
-_FOLD: dict[str, Callable[[float, float], Any]] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "lt": lambda a, b: a < b,
-    "le": lambda a, b: a <= b,
-    "eq": lambda a, b: a == b,
-    "ne": lambda a, b: a != b,
-    "div": lambda a, b: a / b,
-    "atan2": math.atan2,
-}
-_FOLD_ONE: dict[str, Callable[[float], Any]] = {
-    **{name: getattr(math, name) for name in _UNARY.values() if hasattr(math, name)},
-    "abs": abs,
-    "neg": lambda a: -a,
+_FOLD: dict[str, Callable[..., Any]] = {
+    **{name: getattr(math, name) for name in FUNCTIONS},
+    **{name: getattr(operator, name) for name in ("add", "sub", "mul", "neg", "abs", *_COMPARE)},
+    "div": operator.truediv,
     "floor": lambda a: a // 1.0,
 }
 
@@ -76,14 +32,28 @@ _FOLD_ONE: dict[str, Callable[[float], Any]] = {
 class Graph:
     """Instructions in an order in which they can be run; equal ones are stored once.
 
-    Operations: const, in (an input slot), row (of a table), call and result (of a routine), the arithmetic add sub mul
-    div neg, the functions of `steerkit.diagram.maths`, comparisons and logic (which give booleans) and
-    select(condition, yes, no).
+    tables: those that are asked by number; routines: may one be called? Operations: const, in (an input slot), row (of
+    a table), call and result (of a routine), the arithmetic add sub mul div neg, the functions of
+    `steerkit.diagram.maths`, comparisons and logic (which give booleans) and select(condition, yes, no).
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tables: list[Table] | None = None, *, routines: bool = True) -> None:
         self.nodes: list[Node] = []
+        self.tables: list[Table] = [] if tables is None else tables
+        self.routines: list[Routine] | None = [] if routines else None
         self._known: dict[Node, int] = {}
+
+    def input(self, slot: int) -> Symbol:
+        """The symbol of an input slot."""
+        return Symbol(self, self.add("in", slot))
+
+    def node(self, value: Any) -> int:
+        """The node of a symbol of this graph, or of a number; raises TypeError for anything else."""
+        if type(value) is not Symbol:
+            return self.const(value)
+        if value.graph is not self:
+            raise TypeError("a symbol that is no input of the loop; was it kept from another trace?")
+        return value.node
 
     def const(self, value: float) -> int:
         """The node of a number."""
@@ -112,20 +82,17 @@ class Graph:
             return self._put((op, *operands))
         if op == "select":
             return self._select(*operands)
-        if op in _LOGIC.values() or op == "not":
+        if op in _LOGIC or op == "not":
             return self._logic(op, [self.boolean(i) for i in operands])
         numbers = [self.number(i) for i in operands]
         values = [self.value(i) for i in numbers]
-        fold: Callable[..., Any] | None = _FOLD.get(op) or _FOLD_ONE.get(op)
-        if fold is not None and None not in values:
+        if None not in values:
             with contextlib.suppress(ArithmeticError, ValueError):  # 1/0 and the like: left to the run
-                return self.const(fold(*values))
+                return self.const(_FOLD[op](*values))
         if (op == "mul" and values[0] == 1.0) or (op == "neg" and self.nodes[numbers[0]][0] == "neg"):
             return numbers[1] if op == "mul" else self.nodes[numbers[0]][1]
         if op in ("mul", "div") and values[1] == 1.0:
             return numbers[0]
-        if op == "add" and (choice := self._either(*numbers)) is not None:
-            return choice
         return self._put((op, *numbers))
 
     def number(self, i: int) -> int:
@@ -179,100 +146,66 @@ class Graph:
                 return other if bool(value) == (op == "and") else self.const(op == "or")
         return self._put((op, *parts))
 
-    def _either(self, a: int, b: int) -> int | None:
-        """CasADi writes a choice as (c ? yes : 0) + (not c ? no : 0); as one node it is cheaper and exact."""
-        first, second = self.nodes[a], self.nodes[b]
-        if first[0] != "select" or second[0] != "select" or self.value(first[3]) != 0.0 or self.value(second[3]) != 0.0:
-            return None
-        if self.nodes[second[1]] == ("not", first[1]):
-            return self._select(first[1], first[2], second[2])
-        return None
+
+class Symbol:
+    """A number that is not known yet: what equations are run on, so that what they compute is kept as a graph."""
+
+    __slots__ = ("graph", "node")
+    __array_ufunc__ = None  # NumPy's numbers leave arithmetic with it to it
+    __hash__ = object.__hash__
+    functions: SimpleNamespace
+    """What `steerkit.diagram.maths` computes with, by CasADi's names."""
+
+    def __init__(self, graph: Graph, node: int):
+        self.graph, self.node = graph, node
+
+    def __bool__(self) -> bool:
+        raise TypeError("a symbol is neither true nor false; m.where instead of `if`, m.both instead of `and`")
+
+    def __pow__(self, exponent: Any) -> Any:
+        if exponent != 2:
+            raise TypeError(f"a power of {exponent}, which steerkit.diagram.maths does not have; valid: 2")
+        return _of("mul", self, self)
 
 
-def from_symbols(
-    expressions: Sequence[Any], inputs: Sequence[Any], questions: Sequence[Question]
-) -> tuple[Graph, list[int]]:
-    """The graph of scalar SX `expressions` of SX symbols `inputs`, and the nodes of the expressions.
-
-    questions: what was asked, each of inputs and earlier answers only.
-    Raises NotImplementedError for an operation that `steerkit.diagram.maths` does not have.
-    """
-    graph = Graph()
-    known: dict[Any, int] = {x.element_hash(): graph.add("in", i) for i, x in enumerate(inputs)}
-    for kind, number, arguments, answers in questions:
-        values = [_convert(graph, a, known) for a in arguments]
-        if kind == "call":
-            called = graph.add("call", number, len(answers), *map(graph.number, values))
-        for column, symbol in enumerate(answers):
-            node = ("result", called, column) if kind == "call" else ("row", number, values[0], column)
-            known[symbol.element_hash()] = graph.add(*node)
-    return graph, [graph.number(_convert(graph, e, known)) for e in expressions]
+def _of(op: str, *operands: Any) -> Symbol:
+    graph = _graph_of(operands)
+    return Symbol(graph, graph.add(op, *map(graph.node, operands)))
 
 
-def _convert(graph: Graph, root: Any, known: dict[Any, int]) -> int:
-    """The node of an expression; known: nodes by what `_key` has for their expressions, asked for once: it costs."""
-    first = _key(root)
-    stack: list[tuple[Any, Any, list[tuple[Any, Any]] | None]] = [(root, first, None)]
-    while stack:
-        e, key, parts = stack.pop()
-        if key in known:
-            continue
-        if parts is None:
-            parts = [(p, _key(p)) for p in _operands(e)]
-            if not parts and not (isinstance(e, casadi.SX) and e.is_symbolic()):
-                known[key] = graph.const(float(e))
-                continue
-            waiting = [(p, part, None) for p, part in parts if part not in known]
-            if waiting:
-                stack.append((e, key, parts))
-                stack.extend(waiting)
-                continue
-        known[key] = _operation(graph, e, [known[part] for _, part in parts])
-    return known[first]
+def _graph_of(operands: Iterable[Any]) -> Graph:
+    return next(operand.graph for operand in operands if type(operand) is Symbol)
 
 
-def _key(e: Any) -> Any:
-    """What an expression is known by: CasADi's hash; what knows its operands, itself; a number, its digits."""
-    if _made_of(e):
-        return "made", id(e)
-    return e.element_hash() if isinstance(e, casadi.SX) else float(e).hex()
+def _row(table: Table, index: Symbol) -> list[Symbol]:
+    graph = index.graph
+    if table not in graph.tables:
+        graph.tables.append(table)
+    row = graph.tables.index(table), graph.number(index.node)
+    return [Symbol(graph, graph.add("row", *row, column)) for column in range(table.rows.shape[1])]
 
 
-def _made_of(e: Any) -> tuple[Any, ...]:
-    """Operation and operands, where the expression knows them itself."""
-    return e.made_of if type(e) is Symbol else ()
+def _call(routine: Routine, values: Sequence[Any]) -> list[Symbol]:
+    graph = _graph_of(values)
+    if graph.routines is None:
+        raise routine.refusal()
+    if routine not in graph.routines:
+        graph.routines.append(routine)
+    given = [graph.number(graph.node(value)) for value in values]
+    called = graph.add("call", graph.routines.index(routine), routine.size, *given)
+    return [Symbol(graph, graph.add("result", called, column)) for column in range(routine.size)]
 
 
-def _operands(e: Any) -> Sequence[Any]:
-    """What an expression is computed from; nothing for a symbol that is new, or a number."""
-    if not isinstance(e, casadi.SX):
-        return ()
-    return _made_of(e)[1:] or [e.dep(i) for i in range(e.n_dep())]
-
-
-def _operation(graph: Graph, e: Any, parts: list[int]) -> int:
-    op = _made_of(e)[0] if _made_of(e) else e.op()
-    if op == CHOICE:
-        return graph.add(CHOICE, *parts)
-    for names in (_UNARY, _BINARY, _COMPARE, _LOGIC):
-        if op in names:
-            return graph.add(names[op], *parts)
-    if op == casadi.OP_NOT:
-        return graph.add("not", *parts)
-    if op == casadi.OP_IF_ELSE_ZERO:
-        return graph.add("select", *parts, graph.const(0.0))
-    if op == casadi.OP_SQ or (op in (casadi.OP_POW, casadi.OP_CONSTPOW) and graph.value(parts[1]) == 2.0):
-        return graph.add("mul", parts[0], parts[0])
-    if op == casadi.OP_TWICE:
-        return graph.add("add", parts[0], parts[0])
-    if op == casadi.OP_INV:
-        return graph.add("div", graph.const(1.0), parts[0])
-    if op in (casadi.OP_FMIN, casadi.OP_FMAX):
-        a, b = parts if op == casadi.OP_FMIN else parts[::-1]
-        return graph.add("select", graph.add("lt", *([b, a] if op == casadi.OP_FMIN else [a, b])), b, a)
-    if op == casadi.OP_PARAMETER:
-        raise NotImplementedError(f"the symbol {e.name()} is no input of the loop; was it kept from another trace?")
-    raise NotImplementedError(f"an operation that steerkit.diagram.maths does not have, in {str(e)[:60]}")
+for _name, _op in {"add": "add", "sub": "sub", "mul": "mul", "truediv": "div", **dict(zip(_COMPARE, _COMPARE))}.items():
+    setattr(Symbol, f"__{_name}__", lambda a, b, op=_op: _of(op, a, b))
+for _name, _op in {"radd": "add", "rsub": "sub", "rmul": "mul", "rtruediv": "div", "gt": "lt", "ge": "le"}.items():
+    setattr(Symbol, f"__{_name}__", lambda a, b, op=_op: _of(op, b, a))
+for _name in ("neg", "abs"):
+    setattr(Symbol, f"__{_name}__", lambda a, op=_name: _of(op, a))
+_NAMES = {"fabs": "abs", "if_else": "select", "logic_and": "and", "logic_or": "or", **dict(zip(FUNCTIONS, FUNCTIONS))}
+Symbol.functions = SimpleNamespace(
+    row=_row, call=_call, **{name: functools.partial(_of, op) for name, op in _NAMES.items()}
+)
 
 
 def collapsed(graph: Graph, roots: Sequence[int], fixed: Mapping[int, float]) -> tuple[Graph, list[int]]:

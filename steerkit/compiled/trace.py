@@ -1,24 +1,19 @@
-"""From a loop to graphs: every tick is run once on CasADi symbols, and what it computed is kept."""
+"""From a loop to graphs: every tick is run once on symbols, and what it computed is kept."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-import threading
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import casadi
 import numpy as np
 
-from steerkit.compiled.graph import Graph, Question, collapsed, from_symbols
-from steerkit.compiled.symbols import Symbol, symbol
+from steerkit.compiled.graph import Graph, Symbol, collapsed
+from steerkit.diagram.diagnostics import place_of
 from steerkit.diagram.loop import Loop, LoopState
 from steerkit.diagram.maths import Routine, Table
-
-_lock = threading.RLock()  # the tracer of `Table` and CasADi's options are global
 
 
 class TraceError(TypeError):
@@ -150,23 +145,19 @@ def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False)
                 f"{name} ({type(block).__name__}) is not pure, so it cannot be compiled; compile the loop with a model "
                 f"in its place (loop.with_block('{name}', model)), or run this one with simulate"
             )
-    template = _some_state(loop)
-    layout = Layout(loop, template)
-    with _lock:
-        present = {name: parameter(loop, name) for name in parameters}
-        flat = flattened(present)
-        symbols = [symbol(f"p{i}") for i in range(len(flat))]
-        open_loop = with_parameters(loop, _regrouped(present, symbols))
-        tables: dict[int, tuple[int, Table]] = {}
-        called: dict[int, tuple[int, Routine]] = {}
-        allowed = called if routines else None
-        made: dict[tuple[bool, ...], Tick] = {}
-        for phase in range(loop.period):
-            if (due := loop.due(phase)) not in made:
-                made[due] = _tick(open_loop, phase, layout, symbols, tables, allowed)
-        ticks = tuple(made[loop.due(phase)] for phase in range(loop.period))
-    used = tuple(routine for _, routine in called.values())
-    return Trace(loop, layout, tuple(flat), ticks, tuple(table for _, table in tables.values()), used)
+    layout = Layout(loop, _some_state(loop))
+    graph = Graph(routines=routines)
+    k, *slots = [graph.input(slot) for slot in range(1 + len(layout))]
+    present = {name: parameter(loop, name) for name in parameters}
+    flat = flattened(present)
+    numbers = [graph.input(1 + len(layout) + i) for i in range(len(flat))]
+    open_loop = with_parameters(loop, _regrouped(present, numbers))
+    made: dict[tuple[bool, ...], Tick] = {}
+    for phase in range(loop.period):
+        if (due := loop.due(phase)) not in made:
+            made[due] = _tick(open_loop, phase, layout, k, slots)
+    ticks = tuple(made[loop.due(phase)] for phase in range(loop.period))
+    return Trace(loop, layout, tuple(flat), ticks, tuple(graph.tables), tuple(graph.routines or ()))
 
 
 def _some_state(loop: Loop) -> LoopState:
@@ -181,120 +172,47 @@ def _some_state(loop: Loop) -> LoopState:
         return loop.init(batch=cars.pop())
 
 
-def _tick(loop: Loop, phase: int, layout: Layout, symbols: list[Any], tables: Any, routines: Any) -> Tick:
-    k = symbol("k")
-    slots = [symbol(f"s{i}") for i in range(len(layout))]
+def _tick(loop: Loop, phase: int, layout: Layout, k: Any, slots: list[Symbol]) -> Tick:
     x, y = layout.unpack(slots)
-    with recorded_lookups(tables, routines) as lookups, exact_arithmetic():
-        try:
-            loop.run_phase(phase, k * loop.dt, x, y)
-        except Exception as error:
-            raise TraceError(_blame(loop, error)) from error
+    try:
+        loop.run_phase(phase, k * loop.dt, x, y)
+    except Exception as error:
+        raise TraceError(_blame(loop, error)) from error
     values = layout.pack(x, y)
     if len(values) != len(slots):
         raise TraceError(f"a block of {loop!r} changed the number of its states or outputs in a tick")
-    expressions = [_scalar(name, value) for name, value in zip(layout.names, values)]
-    graph, roots = from_symbols(expressions, [k, *slots, *symbols], lookups)
-    return Tick(graph, tuple(roots))
+    roots = [_root(k.graph, name, value) for name, value in zip(layout.names, values)]
+    return Tick(k.graph, tuple(roots))
 
 
-def traced(
-    what: str, function: Callable[[Callable[[], Any]], Sequence[Any]], tables: dict[int, tuple[int, Table]]
-) -> Tick:
+def traced(what: str, function: Callable[[Callable[[], Any]], Sequence[Any]], tables: list[Table]) -> Tick:
     """The graph of a function that is no loop: its values are the roots, and its inputs what `new()` gave it.
 
-    function: is called once with `new`, which makes the next input, and gives its values. tables: by id, with their
-    numbers; those that it looks into are added. Raises TraceError, beginning with `what`, if it cannot be run on
-    symbols.
+    function: is called once with `new`, which makes the next input, and gives its values. tables: those that it looks
+    into are added. Raises TraceError, beginning with `what`, if it cannot be run on symbols.
     """
-    inputs: list[Any] = []
-
-    def new() -> Any:
-        inputs.append(symbol(f"i{len(inputs)}"))
-        return inputs[-1]
-
-    with _lock, recorded_lookups(tables) as lookups, exact_arithmetic(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # CasADi's, of a NumPy function that will not take its symbols
-        try:
-            values = [_scalar(what, value) for value in function(new)]
-            graph, roots = from_symbols(values, inputs, lookups)
-        except Exception as error:
-            raise TraceError(f"{what} cannot be run on symbols: {type(error).__name__}: {error}") from error
+    graph, slots = Graph(tables, routines=False), itertools.count()
+    try:
+        roots = [_root(graph, what, value) for value in function(lambda: graph.input(next(slots)))]
+    except Exception as error:
+        raise TraceError(f"{what} cannot be run on symbols: {type(error).__name__}: {error}") from error
     return Tick(graph, tuple(roots))
 
 
-@contextmanager
-def recorded_lookups(
-    tables: dict[int, tuple[int, Table]], routines: dict[int, tuple[int, Routine]] | None = None
-) -> Iterator[list[Question]]:
-    """While open, a table asked with a symbol answers with new symbols, and what it was asked is noted.
-
-    So does a routine, unless `routines` is None: then it refuses.
-    """
-    questions: list[Question] = []
-
-    def noted(kind: str, number: int, arguments: Sequence[Any], size: int) -> list[Any]:
-        answers = [symbol(f"{kind}{len(questions)}_{i}") for i in range(size)]
-        questions.append(Question(kind, number, tuple(arguments), answers))
-        return answers
-
-    def look_up(table: Table, index: Any) -> list[Any]:
-        number, _ = tables.setdefault(id(table), (len(tables), table))
-        return noted("row", number, [index], table.rows.shape[1])
-
-    def call(routine: Routine, values: Sequence[Any]) -> list[Any]:
-        assert routines is not None
-        number, _ = routines.setdefault(id(routine), (len(routines), routine))
-        return noted("call", number, values, routine.size)
-
-    before, Table.tracer, Routine.tracer = (Table.tracer, Routine.tracer), look_up, None if routines is None else call
+def _root(graph: Graph, name: str, value: Any) -> int:
     try:
-        yield questions
-    finally:
-        Table.tracer, Routine.tracer = before
-
-
-@contextmanager
-def exact_arithmetic() -> Iterator[None]:
-    """CasADi's rewriting on the fly turns x/c into x*(1/c) and the like, which a random generator would notice."""
-    before = casadi.GlobalOptions.getSimplificationOnTheFly()
-    casadi.GlobalOptions.setSimplificationOnTheFly(False)
-    try:
-        yield
-    finally:
-        casadi.GlobalOptions.setSimplificationOnTheFly(before)
-
-
-def _scalar(name: str, value: Any) -> Any:
-    if type(value) is Symbol:
-        return value
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value.item()
-    try:
-        expression = casadi.SX(value)
-    except NotImplementedError:
-        expression = None
-    if expression is None or expression.shape != (1, 1):
-        raise TraceError(
-            f"{name} is {value!r} when computed on symbols, expected one number; see steerkit.diagram.maths"
-        )
-    return casadi.densify(expression)
+        return graph.number(graph.node(value))
+    except (TypeError, ValueError) as error:
+        what = f"{value!r} when computed on symbols, expected one number; see steerkit.diagram.maths"
+        raise TraceError(f"{name} is {what}") from error
 
 
 def _blame(loop: Loop, error: Exception) -> str:
-    """The block in which the traced tick failed: the outermost one on the stack of the exception."""
-    names = {id(block): name for name, block in loop.blocks.items()}
-    frame, line = error.__traceback__, ""
-    blamed = None
-    while frame is not None:
-        owner = frame.tb_frame.f_locals.get("self")
-        if blamed is None and id(owner) in names:
-            blamed = owner
-        line = f"{frame.tb_frame.f_code.co_filename}:{frame.tb_lineno}"
-        frame = frame.tb_next
-    culprit = "a block" if blamed is None else f"{names[id(blamed)]} ({type(blamed).__name__})"
+    """What is said of the block in which a traced tick failed."""
+    place = place_of(error, loop.blocks)
+    where = f"{place.text} cannot be run on symbols, {place.line}" if place else "a block cannot be run on symbols"
     return (
-        f"{culprit} cannot be run on symbols: {type(error).__name__}: {error} (at {line}); write its equations with "
+        f"{where}: {type(error).__name__}: {error}; write its equations with "
         "steerkit.diagram.maths and arithmetic (m.where instead of `if`, no numpy calls, parameters that are numbers), "
         "or run the loop with simulate; per-car parameters are named in compile(parameters=...)"
     )
@@ -349,9 +267,7 @@ def _replaced(owner: Any, fields: list[str], value: Any, name: str) -> Any:
         raise TraceError(f"parameter '{name}': {kind} has no field '{field}'; fields: {', '.join(known) or 'none'}")
     new = _replaced(getattr(owner, field), inner, value, name) if inner else value
     try:
-        with warnings.catch_warnings():  # CasADi's, of checks that ask NumPy about a symbol before they give up on it
-            warnings.simplefilter("ignore", FutureWarning)
-            return dataclasses.replace(owner, **{field: new})
+        return dataclasses.replace(owner, **{field: new})
     except Exception:  # its checks cannot judge a symbol or an array: copy the fields as they are
         members = [item for base in type(owner).__mro__ for item in vars(base).items()]
         cached = {n for n, v in members if isinstance(v, functools.cached_property)}

@@ -28,16 +28,16 @@ _FUNCTIONS: dict[type, Any] = {}
 
 
 def _functions(x: Scalar) -> Any:
-    """What has the functions for `x`: CasADi, or what a kind of its symbols names as `functions`; None for a number."""
+    """What has the functions for `x`: CasADi, or what another kind of symbol names as `functions`; None: a number."""
     kind = type(x)
     if kind not in _FUNCTIONS:
         of_casadi = any(base.__module__.startswith("casadi") for base in kind.__mro__)
-        _FUNCTIONS[kind] = getattr(kind, "functions", sys.modules["casadi"]) if of_casadi else None
+        _FUNCTIONS[kind] = sys.modules["casadi"] if of_casadi else getattr(kind, "functions", None)
     return _FUNCTIONS[kind]
 
 
 def is_symbol(x: Scalar) -> bool:
-    """Is `x` a CasADi symbol or expression? Asked without importing CasADi."""
+    """Is `x` a symbol or an expression, of a trace or of CasADi? Asked without importing CasADi."""
     return _functions(x) is not None
 
 
@@ -187,14 +187,11 @@ def wrap(angle: Scalar) -> Scalar:
 class Table:
     """Rows of numbers looked up by a whole-number index: the one operation that needs more than arithmetic.
 
-    `table(i)` gives the row `i` (i is a float holding a whole number, an array of them, or a symbol) as a tuple of
-    scalars. A path's spline coefficients and a recorded speed profile are tables. Under symbolic tracing the rows
-    come from the tracer (`steerkit.compiled`), through `Table.tracer`.
+    `table(i)` gives the row `i` (i is a float holding a whole number, an array of them, a symbol of a trace or a CasADi
+    MX) as scalars. A path's spline coefficients and a recorded speed profile are tables.
 
     rows: (n, m) array. Raises ValueError when it is not two-dimensional or holds a non-finite number.
     """
-
-    tracer: Callable[[Table, Scalar], Sequence[Scalar]] | None = None
 
     def __init__(self, rows: Any):
         array = np.array(rows, dtype=float)
@@ -216,35 +213,43 @@ class Table:
     def __call__(self, index: Scalar) -> Sequence[Scalar]:
         if index.__class__ is float:
             return self._tuples[int(index)]
-        if is_symbol(index):
-            if Table.tracer is None:
-                raise TypeError("Table: a symbolic index outside of a trace; use steerkit.compiled.compile")
-            return Table.tracer(self, index)
-        return tuple(self._columns[:, np.asarray(index, dtype=np.intp)])
+        if (functions := _functions(index)) is None:
+            return tuple(self._columns[:, np.asarray(index, dtype=np.intp)])
+        if hasattr(functions, "row"):
+            return functions.row(self, index)
+        return functions.vertsplit(self._interpolant(index))
+
+    @functools.cached_property
+    def _interpolant(self) -> Any:
+        """CasADi's function of the index; linear interpolation at a whole number is the row itself."""
+        rows = self.rows if len(self) > 1 else np.repeat(self.rows, 2, axis=0)
+        grid, exact = np.arange(len(rows), dtype=float), {"lookup_mode": ["exact"]}
+        return sys.modules["casadi"].interpolant("table", "linear", [grid], rows.ravel(), exact)
 
 
 class Routine:
     """Numbers to numbers by code of its own: a solver, say, which is neither arithmetic nor a table.
 
-    `routine(*values)` gives `size` numbers. call: on floats; compiled loops call it too, those in C as well. Under
-    symbolic tracing the results come from the tracer, through `Routine.tracer`.
+    `routine(*values)` gives `size` numbers. call: on floats; compiled loops call it too, those in C as well.
     One call at a time: what computes a routine may keep its workspace.
     """
-
-    tracer: Callable[[Routine, Sequence[Scalar]], Sequence[Scalar]] | None = None
 
     def __init__(self, *, name: str, size: int, call: Callable[..., Sequence[float]]):
         self.name, self.size, self.call = name, size, call
         self.lock = threading.Lock()
 
     def __call__(self, *values: Scalar) -> Sequence[Scalar]:
-        if {*map(type, values)} != {float} and any(map(is_symbol, values)):
-            if Routine.tracer is None:
-                where = "only loops compiled with backend 'c' or 'python' call it"
-                raise TypeError(f"{self.name} runs code of its own, which has no symbolic form: {where}")
-            return Routine.tracer(self, values)
+        if {*map(type, values)} != {float}:
+            for functions in filter(None, map(_functions, values)):
+                if not hasattr(functions, "call"):
+                    raise self.refusal()
+                return functions.call(self, values)
         with self.lock:
             return self.call(*values)
+
+    def refusal(self) -> TypeError:
+        """The error where nothing but equations can be run."""
+        return TypeError(f"{self.name} runs code of its own, which has no symbolic form: only compiled loops call it")
 
 
 def rk4(rhs: Callable[[Sequence[Scalar]], Sequence[Scalar]], x: Sequence[Scalar], h: float) -> tuple[Scalar, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -11,12 +11,11 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
+from steerkit.compiled.trace import TraceError
 from steerkit.diagram.loop import LoopState
+from steerkit.gym.episodes import Episodes
 from steerkit.gym.starts import Draw, each
 from steerkit.gym.task import Array, Task, not_finite
-
-if TYPE_CHECKING:
-    from steerkit.gym.episodes import Episodes
 
 Backend = Literal["python", "c"]
 
@@ -28,9 +27,6 @@ def cars_of(
     require(backend in ("python", "c"), "TrackSteering", f"backend {backend!r}; valid: python, c")
     if backend == "python":
         return Drives(task, cars, mode)
-    from steerkit.compiled.trace import TraceError  # here, as it loads CasADi
-    from steerkit.gym.episodes import Episodes
-
     try:
         return Episodes(task, cars, mode, threads)
     except TraceError as error:

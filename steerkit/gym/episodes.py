@@ -197,19 +197,19 @@ def episode_code(task: Task) -> tuple[str, int]:
     """
     graphs = trace(task.loop)
     graphs.require_timeless("TrackSteering")
-    tables = {id(table): (i, table) for i, table in enumerate(graphs.tables)}
+    tables = list(graphs.tables)
     carried, columns = graphs.persistent, len(task.columns)
     rows = [graphs.layout.slots_of(name)[0] for name in (*task.columns, *task.info)]
     begin, streams = _begin(task, graphs, [*carried, *rows], tables)
     judge = traced("the cost", lambda symbol: _judged(task, symbol, columns), tables)
-    known = [table for _, table in tables.values()]
+
     state, seen = [f"s[{i}]" for i in range(len(carried))], [f"v[{i}]" for i in range(len(rows))]
 
     def slot(number: int) -> str:
         return state[carried.index(number - 1)]
 
     def function(head: str, tick: Tick, names: Sequence[str], source: Callable[[int], str]) -> str:
-        return function_source(head, tick, names, source, known)
+        return function_source(head, tick, names, source, tables)
 
     ticks = [Tick(tick.graph, tuple([tick.roots[i] for i in carried])) for tick in graphs.ticks]
     look = Tick(graphs.ticks[0].graph, tuple([graphs.ticks[0].roots[row] for row in rows]))
@@ -229,7 +229,7 @@ def episode_code(task: Task) -> tuple[str, int]:
         "TICKS(s)": " ".join(f"tick{phase}(s);" for phase in range(len(ticks))),
     }
     parts = [
-        lanes_source(known),
+        lanes_source(tables),
         *(function(f"tick{phase}(real *s)", tick, state, slot) for phase, tick in enumerate(ticks)),
         function("look(const real *s, real *v)", look, seen, slot),
         function("begin(const real *d, real *s, real *v)", begin, [*state, *seen], "d[{}]".format),
@@ -245,9 +245,7 @@ def episode_code(task: Task) -> tuple[str, int]:
     return "\n".join(parts), len(carried)
 
 
-def _begin(
-    task: Task, graphs: Trace, slots: Sequence[int], tables: dict[int, tuple[int, Table]]
-) -> tuple[Tick, list[int]]:
+def _begin(task: Task, graphs: Trace, slots: Sequence[int], tables: list[Table]) -> tuple[Tick, list[int]]:
     """These slots at a start, of s, e, psi_e and six numbers for each of the streams of random numbers; the streams."""
     streams: dict[int, RandomState] = {}
 

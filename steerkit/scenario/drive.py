@@ -11,6 +11,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from steerkit._support.errors import require
+from steerkit.compiled import TraceError, compile
+from steerkit.compiled.trace import parameter
 from steerkit.controllers.nfq_policy import NfqPolicy, OpenPolicy, numbers_of
 from steerkit.controllers.supervisor import ExceptionGuard, Supervisor
 from steerkit.controllers.target_shift import TargetShift
@@ -186,8 +188,6 @@ class PolicyDrives:
     """
 
     def __init__(self, loop: Loop, record: Sequence[str], parameters: Sequence[str] = ()):
-        from steerkit.compiled import compile
-
         self._policy = _policy_of(loop)
         self._open = tuple(parameters)
         nets = m.Routine(name="nets", size=len(self._policy.actions), call=lambda *s: self._policy.values(*s))
@@ -204,8 +204,6 @@ class PolicyDrives:
 
     def run(self, loop: Loop, seconds: float) -> Log:
         """The drive of the policy in `loop`, a loop like the one this was made for, for so many seconds."""
-        from steerkit.compiled.trace import parameter
-
         self._policy = _policy_of(loop)
         values = {name: parameter(loop, name) for name in self._open}
         values[self._numbers] = numbers_of(self._policy)
@@ -214,8 +212,6 @@ class PolicyDrives:
 
 def policy_drives(loop: Loop, record: Sequence[str], parameters: Sequence[str] = ()) -> PolicyDrives | None:
     """`PolicyDrives`, or None where a block of the loop cannot be compiled, and drives are interpreted."""
-    from steerkit.compiled import TraceError
-
     try:
         return PolicyDrives(loop, record, parameters)
     except TraceError:

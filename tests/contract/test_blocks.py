@@ -367,20 +367,13 @@ def test_a_nan_shows(example: Example) -> None:
 
 
 @blocks
-def test_the_same_equations_trace_to_symbols(example: Example, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_equations_trace_to_symbols(example: Example) -> None:
     import casadi
 
-    def rows(table: m.Table, index: Any) -> list[Any]:
-        return [
-            sum(casadi.if_else(index == k, row[j], 0.0) for k, row in enumerate(table.rows.tolist()))
-            for j in range(table.rows.shape[1])
-        ]
-
-    monkeypatch.setattr(m.Table, "tracer", staticmethod(rows))
     block = example.block
-    t, state = casadi.SX.sym("t"), [casadi.SX.sym(f"x{i}") for i in range(len(block.init()))]
+    t, state = casadi.MX.sym("t"), [casadi.MX.sym(f"x{i}") for i in range(len(block.init()))]
     u = {
-        name: tuple(casadi.SX.sym(name) for _ in value) if isinstance(value, tuple) else casadi.SX.sym(name)
+        name: tuple(casadi.MX.sym(name) for _ in value) if isinstance(value, tuple) else casadi.MX.sym(name)
         for name, value in inputs(block, 0).items()
     }
     x = type(block.init())(*state) if hasattr(block.init(), "_fields") else tuple(state)

@@ -5,8 +5,6 @@ from functools import cache
 import casadi
 import numpy as np
 
-from steerkit.compiled.symbols import numbers
-
 _AT_ONCE = 2000  # CasADi takes longer for each sample, the more there are
 
 
@@ -59,9 +57,9 @@ def sample(block):
     """The next state and the outputs, of a state and inputs, as a CasADi function."""
     start = block.init()
     x, u = casadi.SX.sym("x", len(start)), casadi.SX.sym("u", max(1, len(block.U._fields)))
-    state = numbers(x)
+    state = casadi.vertsplit(x)
     state = type(start)._make(state) if hasattr(start, "_make") else tuple(state)
-    inputs = block.U(*numbers(u)[: len(block.U._fields)])
+    inputs = block.U(*casadi.vertsplit(u)[: len(block.U._fields)])
     direct = block.D(*[getattr(inputs, name) for name in block.D._fields])
     y = block.output(0.0, state, direct)
     after = block.update(0.0, state, inputs, y)

@@ -22,7 +22,6 @@ from tests.support.traced_blocks import decay_loop, mixed_loop, worst
 
 BACKENDS = [
     "python",
-    "vm",
     pytest.param("c", marks=pytest.mark.skipif(native.compiler() is None, reason="needs a C compiler")),
 ]
 
@@ -111,12 +110,12 @@ def test_a_signal_that_is_not_finite_is_an_error_with_the_log(backend: Any) -> N
     assert np.isinf(c.run(1.0, allow_nonfinite=True)["decay.x"][-1])
 
 
-def test_without_a_compiler_the_vm_runs_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_generated_python_runs_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
-    with pytest.warns(UserWarning, match="no C compiler found: the loop runs in CasADi's VM"):
+    with pytest.warns(UserWarning, match="no C compiler found: the loop runs in generated Python"):
         c = compile(decay_loop())
-    assert c.backend == "vm"
+    assert c.backend == "python"
     assert c.run(1.0)["decay.x"][-1] == pytest.approx(0.9**19)
     with pytest.raises(compiled.NoCompilerError, match="install gcc or set CC"):
         compile(decay_loop(), backend="c")

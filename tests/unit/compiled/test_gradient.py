@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from steerkit.compiled import gradient
+from steerkit.compiled.gradient import gradient
 from steerkit.diagram.simulation import simulate
 from tests.support.traced_blocks import decay_loop, mixed_loop
 

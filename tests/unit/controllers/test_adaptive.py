@@ -204,7 +204,7 @@ def test_as_a_recovery_it_can_recover_a_car_of_unknown_delay() -> None:
 def rms(name: str, scenario: Scenario) -> tuple[float, float]:
     """RMS e from 30 s to the end of the round, and the largest |e| from 1 s on [m]."""
     loop = drive_loop(scenario, controller(name, scenario))
-    log = compile(loop, backend="vm", every=5, record=("path.e", "path.progress")).run(scenario.seconds)
+    log = compile(loop, backend="python", every=5, record=("path.e", "path.progress")).run(scenario.seconds)
     over = log["path.progress"] >= scenario.length
     assert over.any()
     e = log["path.e"][: over.argmax() + 1]

@@ -312,7 +312,7 @@ def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> 
     )
     stiffness, ratio = PASSAT.c_f * np.array([1.0, 0.7]), PASSAT.steer_ratio * np.array([1.0, 1.1])
     cars = {"car.vehicle.c_f": stiffness, "car.vehicle.steer_ratio": ratio}
-    fast = compile(loop, backend="vm", record=["path.e", "path.progress"], every=5, parameters=list(cars))
+    fast = compile(loop, backend="python", record=["path.e", "path.progress"], every=5, parameters=list(cars))
     log = fast.run(130.0, parameters=cars)
     assert log["path.progress"][-1].min() > path.length
     largest = np.abs(log["path.e"]).max(axis=0)
@@ -329,7 +329,7 @@ def test_from_three_metres_and_45_degrees_it_comes_back_within_its_limits() -> N
     loop = looped(block, path, 5.0, 0.2, car=car, s=20.0)
     start = {"car.y0": e - PASSAT.l_f * np.sin(psi), "car.psi0": psi, "car.v0": v, "driver.speed": v}
     record = ["path.e", "car.a_y", "controller.delta_sw"]
-    log = compile(loop, backend="vm", record=record, every=5, parameters=list(start)).run(15.0, parameters=start)
+    log = compile(loop, backend="python", record=record, every=5, parameters=list(start)).run(15.0, parameters=start)
     assert np.abs(log["path.e"][-100:]).max() < 0.1
     assert np.abs(log["car.a_y"]).max() < 3.0
     assert np.abs(np.diff(log["controller.delta_sw"], axis=0)).max() < np.radians(550.0) * 0.05 + 1e-9

@@ -58,7 +58,7 @@ def test_options_choose_the_start() -> None:
         ({"cost": "quadratic"}, "valid: smooth, paper"),
         ({"scenario": {"corse": "paper"}}, "a scenario has no field 'corse'; valid: name, reference"),
         ({"scenario": Scenario(), "course": "genesis"}, "belong to the scenario"),
-        ({"backend": "vm"}, "valid: python, c"),
+        ({"backend": "fortran"}, "valid: python, c"),
         ({"course": "papr"}, "did you mean 'paper'"),
         (
             {"description": StateDescription(names=("e", "e_dot", "w", "psi_e", "r_e", "doe"))},

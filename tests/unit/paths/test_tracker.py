@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit.diagram.maths import Table
 from steerkit.paths import courses
 from steerkit.paths.tracker import PathTracker
 
@@ -123,29 +122,6 @@ def test_a_batch_equals_its_cars_one_by_one(path):
         z1 = one.output(0.05, one.update(0.0, x1, u1, y1), u1)
         for batch, single in ((y, y1), (again, z1)):
             assert np.allclose([a[k] for a in (*batch[:7], *batch.preview)], [*single[:7], *single.preview], atol=1e-9)
-
-
-def test_symbols_give_the_same_numbers(monkeypatch):
-    casadi = pytest.importorskip("casadi")
-
-    def rows(table, index):  # what a tracer does, for a short table
-        columns = [casadi.SX(0.0)] * table.rows.shape[1]
-        for k, row in enumerate(table.rows):
-            columns = [casadi.if_else(index == k, float(a), c) for a, c in zip(row, columns)]
-        return columns
-
-    monkeypatch.setattr(Table, "tracer", staticmethod(rows))
-    for path in (courses.circle(8.0), courses.straight(20.0)):
-        tracker = PathTracker(path=path, reference=1.0, preview_points=2)
-        symbols = [casadi.SX.sym(name) for name in ("s", "progress", *tracker.D._fields)]
-        x, u = tracker.X(*symbols[:2]), tracker.D(*symbols[2:])
-        y = tracker.output(0.0, x, u)
-        traced = casadi.Function("f", symbols, [*y[:7], *y.preview, *tracker.update(0.0, x, u, y)])
-        for s, place in ((3.0, 3.2), (19.95, 20.4), (0.0, -0.3)):
-            values = tracker.X(s, 7.0), inputs(tracker, pose_beside(path, place, 0.4, 0.2))
-            y = tracker.output(0.0, *values)
-            plain = [*y[:7], *y.preview, *tracker.update(0.0, *values, y)]
-            assert np.allclose([float(a) for a in traced(*values[0], *values[1])], plain, atol=1e-12)
 
 
 @settings(max_examples=30)

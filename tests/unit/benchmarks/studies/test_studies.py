@@ -49,7 +49,7 @@ KEYS = {
         "adversary_max_e",
     },
     "throughput": {
-        *("interpreted_x", "simulate_x", "compiled_vm_x", "compiled_vm_uncollapsed_x", "compiled_c_x", "batch_x"),
+        *("interpreted_x", "simulate_x", "compiled_c_x", "batch_x"),
         *("batch_linear_x", "steps_per_second", "base", "against", "largest_difference_m"),
         *("batch_car_steps_per_second", "batch_car_steps_per_second_x_one_function"),
     },
