@@ -126,7 +126,7 @@ class CarLearner:
 
         def late(live: Run) -> None:
             self.link.misses = live.timing.misses
-            self.learner_state.recorder.forget()  # the next sample is not one period later
+            self.learner_state.forget()  # the next sample is not one period later
 
         return run(self._idle, duration, timer=clock, watch=follow, on_miss=late)
 
@@ -134,17 +134,17 @@ class CarLearner:
         """After every control sample."""
         learner_state = self.learner_state
         if self.follow.begin(live):
-            learner_state.recorder.forget()
+            learner_state.forget()
         engaged, t = self.follow.engaged, live.k * self._idle.dt
         state = {name: self._value(live, signal) for name, signal in self._inputs.items()}
         learning = engaged and self._value(live, "supervisor.learning") > 0.5
         fault = engaged and self._value(live, "supervisor.fault") > 0.5  # a NaN, or an exception in the policy
         given_up = self.setting.safe and self._filtered(live, learning=learning, engaged=engaged)
-        events = learner_state.sample(
+        ended = learner_state.sample(
             live.k,
             t,
             list(state.values()),
-            self._action(live),
+            learner_state.action(lambda signal: self._value(live, signal), self._element),
             learning=learning,
             failed=fault or (engaged and self._value(live, "supervisor.tripped") > 0.5),
             progress=self._value(live, "path.progress"),
@@ -156,7 +156,7 @@ class CarLearner:
             learner_state.recovering(t, e=state["e"], e_dot=state["e_dot"])
         if given_up:
             learner_state.counts.ended(t, failed=True)
-        if given_up or (events.ended and events.ended.failed) or (fault and learner_state.trusted):
+        if given_up or (ended and ended.failed) or (fault and learner_state.trusted):
             learner_state.train(t, trusted=False)
         elif learning and learner_state.due():
             learner_state.train(t, trusted=True)
@@ -170,16 +170,6 @@ class CarLearner:
             self.follow.trusted = learner_state.trusted
             self.remark()
         self.follow.choose(live)
-
-    def _action(self, live: Run) -> float:
-        """What the learner did."""
-        action = self._value(live, "controller.action")
-        if not self.setting.safe:
-            return action
-        correction, sent, state = (
-            self._value(live, f"{s}") for s in ("safety.correction", "safety.delta_sw", "doe.state")
-        )
-        return self.learner_state.recorded_action(action, self._element, correction=correction, sent=sent, state=state)
 
     def _filtered(self, live: Run, *, learning: bool, engaged: bool) -> bool:
         """Note what the safety filter did; must the policy lose the wheel for it, or because the filter failed?"""

@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import known, number, require
 from steerkit._support.files import read_arrays, write_arrays
-from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY, Policy
+from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY, Policy, check_layers
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
@@ -44,17 +44,10 @@ class Network:
 
     def __post_init__(self) -> None:
         where = "Network"
-        require(self.activation in ("relu", "tanh"), where, f"activation {self.activation!r}; valid: relu, tanh")
-        require(self.head in ("argmax", "tanh", "clip"), where, f"head {self.head!r}; valid: argmax, tanh, clip")
-        require(len(self.layers) > 0, where, "no layers, expected at least one")
+        known(self.activation, ("relu", "tanh"), f"{where}: activation")
+        known(self.head, ("argmax", "tanh", "clip"), f"{where}: head")
         layers = tuple((np.array(w, dtype=np.float64), np.array(b, dtype=np.float64)) for w, b in self.layers)
-        n = layers[0][0].shape[1] if layers[0][0].ndim == 2 else 0
-        for i, (w, b) in enumerate(layers):
-            fits = w.ndim == 2 and w.shape[1] == n and b.shape == (w.shape[0],)
-            require(fits, where, f"layer {i}: W {w.shape}, b {b.shape}, expected W (n_out, {n}), b (n_out,)")
-            finite = bool(np.isfinite(w).all() and np.isfinite(b).all())
-            require(finite, where, f"layer {i} holds a NaN or an infinity, expected finite weights")
-            n = w.shape[0]
+        n = check_layers(layers, None, where)
         require(self.head == "argmax" or n == 1, where, f"{n} outputs, expected 1 for the head {self.head!r}")
         object.__setattr__(self, "layers", layers)
 
@@ -104,7 +97,7 @@ class PolicyBlock(Policy):
     compiled and exported too, other functions can only be run."""
     actions: tuple[float, ...] | None = None
     """The angles [rad] that a discrete policy chooses from; None: a continuous one."""
-    largest: float = radians_of(25.0)
+    largest: float = number(radians_of(25.0), "rad", above=0.0, high=20.0)
     """The angle [rad] that a continuous policy's 1 means."""
     description: StateDescription = StateDescription()
     """Which of the inputs the policy sees, in which order, and their ranges."""
@@ -112,6 +105,7 @@ class PolicyBlock(Policy):
     """Time from which it may be trusted with the wheel [s]."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where = "PolicyBlock"
         other = [name for name in self.description.names if name not in COLUMNS]
         require(not other, where, f"description column {other[:1]} is no input; valid: {', '.join(COLUMNS)}")
@@ -119,7 +113,6 @@ class PolicyBlock(Policy):
             object.__setattr__(self, "actions", tuple(float(a) for a in self.actions))
             fits = len(self.actions) > 0 and bool(np.isfinite(self.actions).all())
             require(fits, where, f"actions = {self.actions}, expected finite angles [rad]")
-        require(0.0 < self.largest < 20.0, where, f"largest = {self.largest} rad, expected 0 to 20 rad")
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         """The policy's action, and whether it may be trusted with the wheel."""
@@ -162,7 +155,7 @@ class PolicyBlock(Policy):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the block of a `Network` to a small file (NumPy .npz, no pickle); `load` gives it back bit for bit."""
-        net, d = self.policy, self.description
+        net = self.policy
         if not isinstance(net, Network):
             raise TypeError(f"PolicyBlock.save: {net!r} is no Network; only weights can be written to a file")
         arrays = {f"{kind}{i}": a for i, layer in enumerate(net.layers) for kind, a in zip("wb", layer)}
@@ -174,11 +167,7 @@ class PolicyBlock(Policy):
                 "largest": self.largest,
                 "ready_from": self.ready_from,
                 "dt": self.dt,
-                "names": d.names,
-                "low": d.low,
-                "high": d.high,
-                "mirror_signs": d.mirror_signs,
-                "goal": d.goal,
+                **self.description.arrays(),
                 "activation": net.activation,
                 "head": net.head,
                 "layers": len(net.layers),
@@ -196,12 +185,11 @@ class PolicyBlock(Policy):
                 activation=str(f["activation"]),  # type: ignore[arg-type]
                 head=str(f["head"]),  # type: ignore[arg-type]
             )
-            numbers = {name: tuple(f[name].tolist()) for name in ("names", "low", "high", "mirror_signs", "goal")}
             return cls(
                 policy=net,
                 actions=tuple(f["actions"].tolist()) or None,
                 largest=float(f["largest"]),
-                description=StateDescription(**numbers),  # type: ignore[arg-type]
+                description=StateDescription.of_arrays(f),
                 ready_from=float(f["ready_from"]),
                 dt=float(f["dt"]),
             )

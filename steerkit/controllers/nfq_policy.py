@@ -17,7 +17,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers import delay_compensator as ahead
 from steerkit.controllers.delay_compensator import DelayCompensator
-from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy
+from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy, check_layers
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
@@ -238,7 +238,6 @@ class NfqPolicy(Policy):
 
         durable: wait for the disk; False for a thread that may not (`steerkit._support.files.whole`).
         """
-        d = self.description
         arrays = {
             "actions": self.actions,
             "combine": self.combine,
@@ -247,13 +246,7 @@ class NfqPolicy(Policy):
             "dt": self.dt,
             "preview_points": self.preview_points,
             "preview_dt": self.preview_dt,
-            "names": d.names,
-            "low": d.low,
-            "high": d.high,
-            "mirror_signs": d.mirror_signs,
-            "goal": d.goal,
-            "action_scale": d.action_scale or 0.0,
-            "scaled_from": d.scaled_from,
+            **self.description.arrays(),
             "nets": len(self.nets or ()),
             **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
         }
@@ -267,13 +260,10 @@ class NfqPolicy(Policy):
         f = read_arrays(path, "policy", largest=LARGEST_POLICY)
         try:
             layout = [sum(name.startswith(f"net{k}_") for name in f) for k in range(int(f["nets"]))]
-            numbers = {name: tuple(f[name].tolist()) for name in ("names", "low", "high", "mirror_signs", "goal")}
             return cls(
                 nets=tuple(tuple(f[f"net{k}_{i}"] for i in range(n)) for k, n in enumerate(layout)),
                 actions=tuple(f["actions"].tolist()),
-                description=StateDescription(
-                    **numbers, action_scale=float(f["action_scale"]) or None, scaled_from=float(f["scaled_from"])
-                ),
+                description=StateDescription.of_arrays(f),
                 combine=str(f["combine"]),  # type: ignore[arg-type]
                 ready_from=float(f["ready_from"]),
                 dt=float(f["dt"]),
@@ -370,14 +360,7 @@ def without_preview(block: Policy) -> None:
 def check_net(net: Net, n_in: int, where: str) -> None:
     """Raise ValueError unless `net` is W, b, W, b, ... from n_in inputs to one unit, all finite."""
     require(len(net) >= 2 and len(net) % 2 == 0, where, f"a net of {len(net)} arrays, expected W, b of each layer")
-    n = n_in
-    for i in range(0, len(net), 2):
-        w, b = net[i], net[i + 1]
-        fits = w.ndim == 2 and w.shape[1] == n and b.shape == (w.shape[0],)
-        require(fits, where, f"layer {i // 2}: W {w.shape}, b {b.shape}, expected W (n_out, {n}), b (n_out,)")
-        finite = bool(np.isfinite(w).all() and np.isfinite(b).all())
-        require(finite, where, f"layer {i // 2} holds a NaN or an infinity, expected finite weights")
-        n = w.shape[0]
+    n = check_layers(list(zip(net[::2], net[1::2])), n_in, where)
     require(n == 1, where, f"the last layer has {n} units, expected 1")
 
 

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from steerkit._support.errors import require
 from steerkit.diagram.block import Block, In, Out
 
 
@@ -35,3 +41,20 @@ LARGEST_POLICY = 64_000_000
 """Bytes that a policy's file may ask for in memory: a hundred thousand times the paper's net."""
 ACTION = -1
 """In a net's input, the candidate action: the last column, after the state's."""
+
+
+def check_layers(layers: Sequence[tuple[NDArray[Any], NDArray[Any]]], n_in: int | None, where: str) -> int:
+    """Units of the last layer (W, b); raises ValueError unless they fit together, from n_in inputs, and are finite.
+
+    n_in: None: as many as the first W has columns.
+    """
+    n = n_in
+    for i, (w, b) in enumerate(layers):
+        n = w.shape[-1] if n is None else n
+        fits = w.ndim == 2 and w.shape[1] == n and b.shape == (w.shape[0],)
+        require(fits, where, f"layer {i}: W {w.shape}, b {b.shape}, expected W (n_out, {n}), b (n_out,)")
+        finite = bool(np.isfinite(w).all() and np.isfinite(b).all())
+        require(finite, where, f"layer {i} holds a NaN or an infinity, expected finite weights")
+        n = w.shape[0]
+    require(n is not None, where, "no layers, expected at least one")
+    return n or 0

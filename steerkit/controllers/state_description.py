@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.policy import COLUMNS
 from steerkit.diagram import maths as m
 from steerkit.task import STOP
@@ -37,13 +37,14 @@ class StateDescription:
     goal: tuple[float, ...] = (0.02, 0.02, 1.0, 0.02, 0.02, 1.0)
     """Half-widths, in scaled units about 0, of the goal region that hint-to-goal patterns are drawn from: on the path
     and parallel to it, at any speed and any steering angle (a steady bend)."""
-    action_scale: float | None = None
+    action_scale: float | None = number(None, "rad", above=0.0)
     """Action [rad] that becomes 1; None: the largest |action| of the set."""
-    scaled_from: float = math.inf
+    scaled_from: float = number(math.inf, "m/s", above=0.0)
     """Speed above which the same action turns the wheel the less, and angles count the more, the faster the car is
     [m/s]: see `scaled`."""
 
     def __post_init__(self) -> None:
+        check_numbers(self, "StateDescription")
         for name in ("low", "high", "mirror_signs", "goal"):
             values = tuple(float(value) for value in getattr(self, name))
             n = len(self.names)
@@ -56,10 +57,16 @@ class StateDescription:
             require(sign in (-1.0, 1.0), "StateDescription", f"{name}: mirror sign {sign}; valid: -1, 1")
             centred = sign > 0.0 or abs(low + high) <= 1e-12 * high
             require(centred, "StateDescription", f"{name}: sign -1 and range [{low}, {high}], expected low = -high")
-        scale = self.action_scale
-        require(scale is None or scale > 0.0, "StateDescription", f"action_scale = {scale} [rad], expected > 0 or None")
-        start = f"scaled_from = {self.scaled_from} [m/s], expected > 0"
-        require(self.scaled_from > 0.0, "StateDescription", start)
+
+    def arrays(self) -> dict[str, Any]:
+        """What a file keeps of it: see `of_arrays`."""
+        return asdict(self) | {"action_scale": self.action_scale or 0.0}
+
+    @classmethod
+    def of_arrays(cls, f: Mapping[str, Any]) -> StateDescription:
+        """The one whose `arrays` are among those of a file."""
+        given = {field.name: f[field.name].tolist() for field in fields(cls)}
+        return cls(**given | {"action_scale": given["action_scale"] or None})
 
     @property
     def mid(self) -> NDArray[np.float64]:

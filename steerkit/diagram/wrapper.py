@@ -30,6 +30,7 @@ class Wrapper(Block):
     """The block inside."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_ports(type(self).__name__, self.block, inputs=self.needs, outputs=self.changes)
         take_ports(self, self.block)
 

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.policy import DOE, R_E, E, V
 from steerkit.diagram import maths as m
 from steerkit.task import DT, GOAL, TRIP
@@ -41,13 +41,22 @@ class _Limits:
     """|e| [m] below which the car counts as on the path."""
     trip: float = TRIP
     """|e| [m] above which the episode has failed (terminal, cost 1)."""
-    step: float = 0.01
+    step: float = number(0.01, above=0.0, high=1.0)
     """Cost of a step elsewhere; 0.04 uses more of a sigmoid's range."""
 
     def __post_init__(self) -> None:
         where = type(self).__name__
+        check_numbers(self, where)
         require(0.0 < self.goal < self.trip, where, f"goal {self.goal}, trip {self.trip} [m], expected 0 < goal < trip")
-        require(0.0 < self.step <= 1.0, where, f"step = {self.step}, expected 0 < step <= 1")
+
+    def steps(self, e: Array, a: Array) -> Array:
+        """Cost (n,) of steps to e [m] that do not fail."""
+        raise NotImplementedError
+
+    def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
+        e = s_next[:, E]
+        failed = m.absolute(e) > self.trip
+        return m.where(failed, 1.0, self.steps(e, a)), failed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,10 +68,8 @@ class BandCost(_Limits):
     Source: the NFQ steering task's bang-bang cost. Raises ValueError unless 0 < goal < trip and 0 < step <= 1.
     """
 
-    def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        e = m.absolute(s_next[:, E])
-        failed = e > self.trip
-        return m.where(failed, 1.0, m.where(e < self.goal, 0.0, self.step)), failed
+    def steps(self, e: Array, a: Array) -> Array:
+        return m.where(m.absolute(e) < self.goal, 0.0, self.step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,10 +81,8 @@ class IdoeCost(_Limits):
     Source: the NFQ steering task's cost for the integrating output element. Raises ValueError as `BandCost`.
     """
 
-    def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        e = m.absolute(s_next[:, E])
-        failed = e > self.trip
-        return m.where(failed, 1.0, m.where(m.both(e < self.goal, a == 0.0), 0.0, self.step)), failed
+    def steps(self, e: Array, a: Array) -> Array:
+        return m.where(m.both(m.absolute(e) < self.goal, a == 0.0), 0.0, self.step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +96,7 @@ class TanhCost(_Limits):
     Raises ValueError as `BandCost`, or unless 0 <= action_cost <= 1 - step.
     """
 
-    step: float = 0.04
+    step: float = number(0.04, above=0.0, high=1.0)
     """Cost of a step far from the path."""
     action_cost: float = 0.01
     """Cost of a step that moves the steering wheel."""
@@ -101,11 +106,9 @@ class TanhCost(_Limits):
         fits = 0.0 <= self.action_cost <= 1.0 - self.step
         require(fits, "TanhCost", f"action_cost = {self.action_cost}, expected 0 <= action_cost <= 1 - step")
 
-    def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        e = s_next[:, E]
-        failed = m.absolute(e) > self.trip
+    def steps(self, e: Array, a: Array) -> Array:
         well = m.tanh(e * (math.atanh(math.sqrt(0.95)) / self.goal)) ** 2
-        return m.where(failed, 1.0, self.step * well + self.action_cost * (a != 0.0)), failed
+        return self.step * well + self.action_cost * (a != 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,21 +125,19 @@ class SmoothCost:
 
     cost: BandCost | IdoeCost | TanhCost = field(default_factory=TanhCost)
     """The cost of the task itself."""
-    jerk_cost: float = 0.005
+    jerk_cost: float = number(0.005, low=0.0)
     """Price of a step with a jerk of `jerk_unit` or more."""
-    jerk_unit: float = 5.0
+    jerk_unit: float = number(5.0, "m/s^3", above=0.0)
     """[m/s^3]"""
-    wheel_cost: float = 0.005
+    wheel_cost: float = number(0.005, low=0.0)
     """Price of a step in which the steering wheel turns by `wheel_unit` or more."""
-    wheel_unit: float = math.radians(25.0)
+    wheel_unit: float = number(math.radians(25.0), "rad", above=0.0)
     """[rad]"""
-    dt: float = DT
+    dt: float = number(DT, "s", above=0.0)
     """Sample time [s]."""
 
     def __post_init__(self) -> None:
-        prices, units = (self.jerk_cost, self.wheel_cost), (self.jerk_unit, self.wheel_unit, self.dt)
-        require(min(prices) >= 0.0, "SmoothCost", f"jerk_cost, wheel_cost = {prices}, expected >= 0")
-        require(min(units) > 0.0, "SmoothCost", f"jerk_unit, wheel_unit, dt = {units}, expected > 0")
+        check_numbers(self, "SmoothCost")
 
     @property
     def goal(self) -> float:

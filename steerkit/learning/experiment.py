@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
-from steerkit._support.errors import require
+from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.supervisor import SupervisorState
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import LoopState, Sample
@@ -55,13 +54,13 @@ class Experiment:
     """How it learns: see `steerkit.learning.settings`."""
     scenario: Scenario = field(default_factory=Scenario)
     """Where it learns: course, car, disturbances: see `steerkit.scenario`."""
-    minutes: float = 11.0
+    minutes: float = number(11.0, "min", above=0.0, high=1e6)
     """Driving time after which it ends [min]; recovery and waiting count."""
-    episodes: int = 1000
+    episodes: int = number(1000, low=1)
     """Failures after which it ends."""
-    rounds: int = 0
+    rounds: int = number(0, low=0)
     """Complete rounds driven by the learner after which it ends; 0: never."""
-    seed: int = 0
+    seed: int = number(0, low=0)
     """Seed of the nets, the driver and the sensors."""
 
     def __post_init__(self) -> None:
@@ -71,14 +70,10 @@ class Experiment:
         require(isinstance(self.setting, Setting), "Experiment", asked)
         asked = f"scenario = {self.scenario!r:.60}, expected a Scenario, such as Scenario(course='paper')"
         require(isinstance(self.scenario, Scenario), "Experiment", asked)
-        for name, kinds in (("minutes", Real), ("episodes", Integral), ("rounds", Integral), ("seed", Integral)):
+        check_numbers(self, "Experiment")
+        for name in ("episodes", "rounds", "seed"):
             value = getattr(self, name)
-            number = isinstance(value, kinds) and not isinstance(value, bool)
-            require(number, "Experiment", f"{name} = {value!r}, expected a {'whole ' * (kinds is Integral)}number")
-        require(0.0 < self.minutes < math.inf, "Experiment", f"minutes = {self.minutes}, expected > 0 min")
-        require(self.episodes >= 1, "Experiment", f"episodes = {self.episodes}, expected >= 1")
-        require(self.rounds >= 0, "Experiment", f"rounds = {self.rounds}, expected >= 0")
-        require(self.seed >= 0, "Experiment", f"seed = {self.seed}, expected >= 0")
+            require(isinstance(value, Integral), "Experiment", f"{name} = {value!r}, expected a whole number")
 
 
 class LearningRun:
@@ -169,18 +164,18 @@ class LearningRun:
         self.recorder.add(counts.k, self.y)
         if self.each is not None:
             self.each(Sample(self.loop, self.t, self.y))
-        learning = self._value("supervisor.learning") > 0.5
-        events = learner_state.sample(
+        learning, rounds = self._value("supervisor.learning") > 0.5, counts.rounds
+        ended = learner_state.sample(
             counts.k // self.ticks,
             self.t,
             self._state(),
-            self._action(),
+            learner_state.action(self._value, self._element),
             learning=learning,
             failed=not learning,
             progress=self._value("path.progress"),
             e=self._value("path.e"),
         )
-        if events.round:
+        if counts.rounds > rounds:
             self._tell("round")
         if not learning:
             e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
@@ -189,12 +184,10 @@ class LearningRun:
         for k in range(counts.k + 1, counts.k + self.ticks):
             self.loop.advance(k, self.x, self.y)
         counts.k += self.ticks
-        if events.ended:
+        if ended:
             self._after_failure()
         elif learning and self._had_enough():
-            learner_state.trusted = (
-                False  # the recovery controller has the wheel from the next sample on, and that trains
-            )
+            learner_state.trusted = False  # recovery steers from the next sample on, and that trains
             self.steer()
         elif learning and learner_state.due():
             learner_state.train(self.t, trusted=True)
@@ -204,14 +197,6 @@ class LearningRun:
             self.keep(self)
         if int(self.t) > second:
             self._tell("second")
-
-    def _action(self) -> float:
-        """What the learner did."""
-        action = self._value("controller.action")
-        if not self.safe:
-            return action
-        correction, sent, state = map(self._value, ("safety.correction", "safety.delta_sw", "doe.state"))
-        return self.learner_state.recorded_action(action, self._element, correction=correction, sent=sent, state=state)
 
     def _had_enough(self) -> bool:
         """Has the policy been corrected for as long as it may be?"""
@@ -240,9 +225,7 @@ class LearningRun:
             self.steer()
             self._begin_anew()
             supervisor = self.loop.names.index("supervisor")
-            self.x[supervisor] = SupervisorState(
-                self.x[supervisor][0], 0.0
-            )  # a fault of the policy before is forgotten
+            self.x[supervisor] = self.x[supervisor]._replace(fault=0.0)  # that of the policy before
         self._tell("trained" if taken else "lost")
 
     def steer(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number
 from steerkit._support.random import seed_state, uniform
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram import maths as m
@@ -29,14 +29,10 @@ class Exploring(Wrapper):
 
     block: NfqPolicy
     """The policy."""
-    share: float = 0.05
+    share: float = number(0.05, low=0.0, high=1.0)
     """Share of the samples that explore."""
     seed: int = 0
     """Of the random numbers."""
-
-    def __post_init__(self) -> None:
-        require(0.0 <= self.share <= 1.0, "Exploring", f"share = {self.share}, expected 0 <= share <= 1")
-        super().__post_init__()
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (*super().init(batch), *seed_state(self.seed, batch, stream=_STREAM))

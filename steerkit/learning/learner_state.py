@@ -103,8 +103,8 @@ class Counts:
         """The one that lasts, if one does."""
         return self.episodes[-1] if self.episodes and self.episodes[-1].ended is None else None
 
-    def steered(self, t: float, *, progress: float, e: float, round_length: float = math.inf) -> bool:
-        """One sample in which the learner steers, at driving time t [s]; was a round of that length complete in it?
+    def steered(self, t: float, *, progress: float, e: float, round_length: float = math.inf) -> None:
+        """One sample in which the learner steers, at driving time t [s]; round_length: of a round of the course [m].
 
         progress: along the path [m]; e: cross-track error [m]. An episode begins with its first sample.
         """
@@ -117,13 +117,11 @@ class Counts:
         episode.distance = distance
         episode.sum_e2 += e**2
         episode.samples += 1
-        if distance < (episode.rounds + 1) * round_length:
-            return False
-        episode.rounds += 1
-        if self.first_round_done is None:
-            self.first_round_begun, self.first_round_done = episode.began, t
-            self.failures_to_round = self.failures
-        return True
+        if distance >= (episode.rounds + 1) * round_length:
+            episode.rounds += 1
+            if self.first_round_done is None:
+                self.first_round_begun, self.first_round_done = episode.began, t
+                self.failures_to_round = self.failures
 
     def ended(self, t: float, *, failed: bool) -> Episode | None:
         """The learner does not steer at driving time t [s]: the episode that ends with that, if one lasted."""
@@ -172,32 +170,6 @@ class Before(NamedTuple):
     """What the learner did there [rad]."""
 
 
-class TransitionRecorder:
-    """Makes transitions (s, a, s_next) of the samples of a drive, and hands each to `keep`.
-
-    A transition is two samples that follow each other without a gap, in the first of which the learner steered. The
-    sample in which the recovery controller takes over ends a transition and never begins one. Nothing is recorded while
-    another controller steers, across a missing sample, or across a relocation of the car (`forget`). Samples that are
-    not finite are left out.
-    """
-
-    def __init__(self, keep: Keep):
-        self.keep = keep
-        self.before: Before | None = None
-        """What the next sample would complete."""
-
-    def sample(self, number: int, s: State, action: float, *, learning: bool, episode: int) -> None:
-        """Sample `number`: the learner's state, its action [rad], whether it steers, and the number of its episode."""
-        before, sound = self.before, all(map(math.isfinite, s))
-        if before is not None and before.number == number - 1 and sound:
-            self.keep(before.s, before.action, s, episode)
-        self.before = Before(number, s, action) if learning and sound and math.isfinite(action) else None
-
-    def forget(self) -> None:
-        """The next sample does not follow from the last one: the car was relocated, or time has passed."""
-        self.before = None
-
-
 def untrained(setting: Setting, seed: int) -> NfqPolicy:
     """The policy that a run of this setting and seed begins with: nets drawn at random."""
     description = setting.description()
@@ -219,15 +191,6 @@ def state_signals(setting: Setting, inputs: Mapping[str, str]) -> dict[str, str]
     """
     known = {**inputs, "kappa": inputs["preview"].replace(".preview", ".kappa") if "preview" in inputs else ""}
     return {name: known[name] for name in setting.recorded()}
-
-
-class Events(NamedTuple):
-    """What happened in a sample."""
-
-    ended: Episode | None
-    """The episode that ended with it."""
-    round: bool
-    """Was a round complete in it?"""
 
 
 class LearnerState:
@@ -260,7 +223,8 @@ class LearnerState:
         self.policy, self.net, self.trusted = policy, net, True
         self.transitions = Transitions(self.names) if transitions is None else transitions
         self.counts = Counts(updates=net)
-        self.recorder = TransitionRecorder(self._keep)
+        self.before: Before | None = None
+        """What the next sample completes to a transition."""
         self.faults: list[str] = []
         """What went wrong in training."""
         self._first, self._also, self._round_length = first, also, round_length
@@ -281,22 +245,37 @@ class LearnerState:
         failed: bool,
         progress: float,
         e: float,
-    ) -> Events:
-        """Record and count sample `number`, at driving time t [s].
+    ) -> Episode | None:
+        """Record and count sample `number`, at driving time t [s]; returns the episode that ended with it.
+
+        A transition (s, a, s_next) is two samples that follow each other without a gap, in the first of which the
+        learner steered: the sample in which the recovery controller takes over ends one and never begins one. Nothing
+        is recorded across a missing sample, or after `forget`; samples that are not finite are left out.
 
         s: the learner's state (SI), of the columns `names`. action: its wish [rad]. learning: does it steer?
         failed: if not, did recovery take over? progress: along the path [m]. e: cross-track error [m], which
         its state may hold with noise.
         """
         episode = self._first + len(self.counts.episodes) - 1
-        self.recorder.sample(number, tuple(s), action, learning=learning, episode=episode)
-        if learning:
-            return Events(None, self.counts.steered(t, progress=progress, e=e, round_length=self._round_length))
-        return Events(self.counts.ended(t, failed=failed), False)
+        before, sound = self.before, all(map(math.isfinite, s))
+        if before is not None and before.number == number - 1 and sound:
+            row = (before.s, before.action, tuple(s), episode)
+            self.transitions.append(*row)
+            if self._also is not None:
+                self._also(*row)
+        self.before = Before(number, tuple(s), action) if learning and sound and math.isfinite(action) else None
+        if not learning:
+            return self.counts.ended(t, failed=failed)
+        self.counts.steered(t, progress=progress, e=e, round_length=self._round_length)
+        return None
+
+    def forget(self) -> None:
+        """The next sample does not follow from the last one: the car was relocated, or time has passed."""
+        self.before = None
 
     def relocated(self, t: float) -> None:
         """The car was put elsewhere: that ends the episode and the recovery, and is no transition."""
-        self.recorder.forget()
+        self.forget()
         self.counts.ended(t, failed=False)
         self.counts.recovery = None
 
@@ -306,16 +285,15 @@ class LearnerState:
         counts.corrected += share > 0.0
         return counts.corrected * self.policy.dt >= setting.corrected_seconds
 
-    def recorded_action(
-        self, action: float, element: OutputElement, *, correction: float, sent: float, state: float
-    ) -> float:
+    def action(self, value: Callable[[str], float], element: OutputElement) -> float:
         """The action [rad] to record: where the filter changed the angle, the one that makes what was sent.
 
-        action: the policy's. correction, sent [rad]: of the filter. state [rad]: of the output element.
+        value: of a signal of the loop. element: the output element.
         """
-        if correction == 0.0 or self.setting.teaches == "chosen":
+        setting, action = self.setting, value("controller.action")
+        if not setting.safe or setting.teaches == "chosen" or value("safety.correction") == 0.0:
             return action
-        return element.action_for(sent, state)
+        return element.action_for(value("safety.delta_sw"), value("doe.state"))
 
     def due(self) -> bool:
         """Is it time to train anew while driving on?"""
@@ -367,8 +345,3 @@ class LearnerState:
         """Is the car quiet enough on the path for a new net? A setting without `calm` lets the supervisor judge."""
         limit = self.setting.calm
         return abs(e_dot) < limit and (abs(e) < RELEASE or math.isinf(limit))
-
-    def _keep(self, s: tuple[float, ...], action: float, s_next: tuple[float, ...], episode: int) -> None:
-        self.transitions.append(s, action, s_next, episode)
-        if self._also is not None:
-            self._also(s, action, s_next, episode)

@@ -157,7 +157,7 @@ def keep_in(run: LearningRun, place: FilePath) -> None:
 def save(run: LearningRun, place: FilePath) -> None:
     """Write a checkpoint; a kill at any moment leaves this one or the one before, whole."""
     number = len(list(place.glob("drive/*.npz")))
-    pending, before = run.learner_state.trainer.pending, run.learner_state.recorder.before
+    pending, before = run.learner_state.trainer.pending, run.learner_state.before
     (place / "nets").mkdir(exist_ok=True)
     (place / "drive").mkdir(exist_ok=True)
     run.loop.save_state(run.state, place / f"state-{number}.npz")
@@ -245,7 +245,7 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     )
     if data["before"] is not None:  # of the last sample that was driven
         s, action = data["before"]
-        learner_state.recorder.before = Before(learner_state.counts.k // run.ticks - 1, tuple(s), action)
+        learner_state.before = Before(learner_state.counts.k // run.ticks - 1, tuple(s), action)
     return run
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
-from steerkit._support.errors import require
+from steerkit._support.errors import check_numbers, known, number, require
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.units import radians_of
 from steerkit.doe import OutputElement
@@ -62,54 +62,44 @@ class Setting:
     """Half-width of the hints' steering angles, as a share of the largest. 1 would mean that any angle may be held at
     psi_e = 0, which is wrong where e is measured at the front axle. `paper`, 6 seeds, 11 minutes: 0.02: a round in
     all, done after 373 s in the median; 1: in half of them; no hints: in two thirds."""
-    retrain_every_m: float = 50.0
+    retrain_every_m: float = number(50.0, "m", low=0.0)
     """Distance driven by the learner after which it is trained anew while it drives on [m]; 0: at failures only."""
-    fit_seconds: float = 2.0
+    fit_seconds: float = number(2.0, "s", low=0.0)
     """Driving time charged for one training [s]: its net can steer that much later."""
 
-    calm: float = 0.3
+    calm: float = number(0.3, "m/s", above=0.0)
     """|e_dot| below which a new net takes the wheel over from the recovery controller [m/s]: |e| < 0.1 m may be a fast
     crossing, and then it fails at once. 0.3 spares half of the first ten failures under `hard` conditions."""
 
-    exploration: float = 0.0
+    exploration: float = number(0.0, low=0.0, high=1.0)
     """Share of samples in which the learner takes an action drawn at random, while it learns (never in test drives)."""
     after_failure: str = "recovery"
     """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops and is put back
     on the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is ready.
     `shift`: the target path moves sideways to the car, the old net drives on at once and is trained meanwhile, and the
     target moves slowly back (`steerkit.controllers.supervisor.TargetShift`)."""
-    reset_seconds: float = 20.0
+    reset_seconds: float = number(20.0, "s", low=0.0)
     """Driving time charged for a reset [s]."""
     safe: bool = False
     """Is there a `SafetyFilter` between learner and wheel while it learns (never in test drives)? Then it fails within
     the bound: a policy that had to be corrected for `corrected_seconds` is taken from the wheel and trained anew."""
-    corrected_seconds: float = 0.5
+    corrected_seconds: float = number(0.5, "s", above=0.0)
     """Time for which a policy may be corrected until then [s], in one piece or in several."""
     teaches: str = "applied"
     """What a corrected sample teaches: the action that was `applied` in the end, or the one that was `chosen`, which is
     here to be compared with: from it hardly anything is learned."""
 
     def __post_init__(self) -> None:
-        choices = f"after_failure = {self.after_failure!r}; valid: {', '.join(AFTER_FAILURE)}"
-        require(self.after_failure in AFTER_FAILURE, "Setting", choices)
-        share = f"exploration = {self.exploration}, expected 0 <= exploration <= 1"
-        require(0.0 <= self.exploration <= 1.0, "Setting", share)
-        require(
-            self.corrected_seconds > 0.0, "Setting", f"corrected_seconds = {self.corrected_seconds} s, expected > 0"
-        )
-        require(self.teaches in TEACHES, "Setting", f"teaches = {self.teaches!r}; valid: {', '.join(TEACHES)}")
+        check_numbers(self, "Setting")
+        known(self.after_failure, AFTER_FAILURE, "Setting: after_failure")
+        known(self.teaches, TEACHES, "Setting: teaches")
+        require(len(self.actions_deg) >= 2, "Setting", f"actions_deg = {self.actions_deg}, expected at least two")
         no_filter = f"after_failure = {self.after_failure!r} with safe, expected recovery"
         require(not self.safe or self.after_failure == "recovery", "Setting", no_filter)
         invertible = element_kind(self.doe).action_for is not OutputElement.action_for
         expected = "expected an element with a method action_for (see steerkit.doe.OutputElement)"
         not_invertible = f"doe = {self.doe!r} with safe, {expected}"
         require(invertible or not self.safe or self.teaches == "chosen", "Setting", not_invertible)
-        require(self.reset_seconds >= 0.0, "Setting", f"reset_seconds = {self.reset_seconds} s, expected >= 0")
-        require(self.calm > 0.0, "Setting", f"calm = {self.calm} m/s, expected > 0")
-        require(len(self.actions_deg) >= 2, "Setting", f"actions_deg = {self.actions_deg}, expected at least two")
-        element_kind(self.doe)
-        require(self.retrain_every_m >= 0.0, "Setting", f"retrain_every_m = {self.retrain_every_m} m, expected >= 0")
-        require(self.fit_seconds >= 0.0, "Setting", f"fit_seconds = {self.fit_seconds} s, expected >= 0")
 
     @property
     def actions(self) -> tuple[float, ...]:
@@ -225,6 +215,4 @@ def _with(part: Any, names: list[str], value: Any, change: str) -> Any:
 
 def setting(name: str) -> Setting:
     """The setting of that name; raises ValueError with the valid names."""
-    if name not in SETTINGS:
-        raise ValueError(f"setting '{name}' is not known; valid: {', '.join(SETTINGS)}")
-    return SETTINGS[name]
+    return SETTINGS[known(name, SETTINGS, "setting")]

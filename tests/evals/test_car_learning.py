@@ -20,7 +20,7 @@ from steerkit.car.loop import Steers
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram import realtime
-from steerkit.learning.learner_state import Recovery
+from steerkit.learning.learner_state import Before, Recovery
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import Setting, changed, setting
@@ -287,7 +287,7 @@ def test_the_human_s_taking_the_wheel_is_no_failure_and_ends_a_recovery(
 def test_a_late_step_is_no_transition(tmp_path: Path) -> None:
     world = World()
     with learner_of(world, tmp_path / "run") as learner:
-        learner.learner_state.recorder.sample(0, (0.0,) * 6, 0.0, learning=True, episode=0)
+        learner.learner_state.before = Before(0, (0.0,) * 6, 0.0)
         seen: list[Any] = []
 
         def run(loop: Any, duration: float, *, timer: Any, watch: Any, on_miss: Any) -> Any:
@@ -299,7 +299,7 @@ def test_a_late_step_is_no_transition(tmp_path: Path) -> None:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(on_car, "run", run)
             learner.run(1.0)
-        assert learner.learner_state.recorder.before is None
+        assert learner.learner_state.before is None
         assert world.misses == 3
 
 

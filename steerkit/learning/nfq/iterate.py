@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import check_numbers, known, number, require
 from steerkit.controllers.delay_compensator import LONGEST, PREVIEW, DelayCompensator
 from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
 from steerkit.controllers.policy import ACTION, DOE, V
@@ -46,8 +46,6 @@ def mirror_patterns(description: StateDescription, x: NDArray[np.float32]) -> ND
 
 
 Nets = tuple[Net, ...]
-COUNTS = ("n_step", "nets", "iterations", "horizon", "keep")
-"""Fields of a `FitSetting` that are 1 at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,37 +54,37 @@ class FitSetting:
 
     discount: float = 0.95
     """gamma, in [0, 1): how much the next step's cost-to-go counts; 0.95 at 20 Hz looks about a second ahead."""
-    epochs: int = 300
+    epochs: int = number(300, low=0)
     """Rprop epochs of each fit."""
     init: Literal["fresh", "warm"] = "fresh"
     """fresh: each fit starts from new random weights. warm: from the last net; quicker at first, but its sigmoids
     saturate and learning stalls."""
-    hints: int = 100
+    hints: int = number(100, low=0)
     """Hint-to-goal patterns (target 0) in each fit; they pin the level of the Q-function. They are wrong where the car
     cannot stay for nothing, such as in a bend: 0 gives quicker and far steadier learning (model-free, 8 seeds: GOOD in
     all after 75 s instead of in half after 170 s; default: RMS e of 16 nets in a row 12-14 mm instead of 13-32 mm)."""
-    n_step: int = 1
+    n_step: int = number(1, low=1)
     """Costs summed before bootstrapping; 3 carries a failure back three samples an iteration, at the price of judging
     the recorded actions rather than the greedy ones."""
-    window: int = 0
+    window: int = number(0, low=0)
     """Only the newest so many transitions are fitted, which bounds the time of a fit; 0: all of them. The model that
     imagines others learns from all."""
-    nets: int = 1
+    nets: int = number(1, low=1)
     """Members of the ensemble: same targets, own random weights; three smooth out single unlucky fits."""
-    keep: int = 1
+    keep: int = number(1, low=1)
     """Updates whose nets work together, the newest and those before it: an average over several updates, at no cost
     in training, that chatters less from one update to the next."""
     combine: Combine = "mean"
     """How the members' values become one, in the targets and in the policy: mean, max or disagreement."""
     mirror: bool = False
     """Learn from every transition's mirror image too, with the same target: twice the data for twice the time."""
-    iterations: int = 1
+    iterations: int = number(1, low=1)
     """NFQ iterations (new targets, new fit) of one update."""
-    imagined: int = 0
+    imagined: int = number(0, low=0)
     """Patterns a learned model of the car adds to each fit (`steerkit.learning.nfq.model`): states near the recorded
     ones, in bends of any strength, with any action. They stand for most of the driving: failures fall from 20 or 30 to
     1."""
-    horizon: int = 4
+    horizon: int = number(4, low=1)
     """Samples for which an imagined car is followed, greedily after its first action, before bootstrapping."""
     hidden: tuple[int, ...] = (10, 10)
     """Units of the hidden layers."""
@@ -94,23 +92,21 @@ class FitSetting:
     """Every net works together with its mirror image, so that the Q-function is that of a car that is the same in the
     mirror, by construction. RMS e on a recorded lap without noise halves; a net's use costs twice the time. A car
     that is not the same in the mirror, as its wheel is mounted off centre: see `dead_time`."""
-    dead_time: float = 0.0
+    dead_time: float = number(0.0, "s", low=0.0, high=LONGEST * DT)
     """Longest dead time that is looked for in the record [s], 0: none. The commands' way is then found from the record,
     fractions of a sample and the angle of going straight on with it; nets learn the process without it, and the
     policy acts on the state forecast over it (`steerkit.learning.nfq.dead_time`). Needs `imagined`."""
 
     def __post_init__(self) -> None:
         where = "FitSetting"
+        check_numbers(self, where)
         require(0.0 <= self.discount < 1.0, where, f"discount = {self.discount}, expected 0 <= discount < 1")
-        require(self.init in ("fresh", "warm"), where, f"init = {self.init!r}; valid: 'fresh', 'warm'")
-        require(self.combine in COMBINATIONS, where, f"combine = {self.combine!r}; valid: {', '.join(COMBINATIONS)}")
-        for least, names in enumerate((("epochs", "hints", "imagined", "window"), COUNTS)):
-            for name in names:
-                require(getattr(self, name) >= least, where, f"{name} = {getattr(self, name)}, expected >= {least}")
-        longest = LONGEST * DT
-        bridged = 0.0 <= self.dead_time <= longest and (self.dead_time == 0.0 or self.imagined > 0)
-        sought = f"dead_time = {self.dead_time} s with imagined = {self.imagined}"
-        require(bridged, where, f"{sought}, expected 0, or 0 to {longest:g} with imagined > 0")
+        known(self.init, ("fresh", "warm"), f"{where}: init")
+        known(self.combine, COMBINATIONS, f"{where}: combine")
+        bridged = self.dead_time == 0.0 or self.imagined > 0
+        require(
+            bridged, where, f"dead_time = {self.dead_time} s with imagined = {self.imagined}, expected imagined > 0"
+        )
         require(all(h >= 1 for h in self.hidden), where, f"hidden = {self.hidden}, expected sizes >= 1")
 
     @property

@@ -70,6 +70,6 @@ def test_a_fault_stays_a_fault() -> None:
 
 
 def test_mistakes_are_named() -> None:
-    with pytest.raises(ValueError, match=r"share = 1.5, expected 0 <= share <= 1"):
+    with pytest.raises(ValueError, match=r"share = 1.5 \[1\], expected 0 to 1"):
         Exploring(block=POLICY, share=1.5)
     assert Exploring(block=replace(POLICY, dt=0.1)).dt == 0.1

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.learner_state import LearnerState, untrained
@@ -60,10 +62,10 @@ class Fed:
             self.number += 1
             self.progress += 1.0
             s = (0.01 * self.number, 0.0, 5.0, 0.0, 0.0, 0.0)
-            events = self.learner_state.sample(
+            ended = self.learner_state.sample(
                 self.number, 0.05 * self.number, s, 0.1, learning=learning, failed=failed, progress=self.progress, e=0.2
             )
-        return events
+        return ended
 
     def take_over(self, e: float = 0.0, e_dot: float = 0.0) -> Result | None:
         return self.learner_state.take_over(0.0, e=e, e_dot=e_dot)
@@ -73,7 +75,7 @@ def test_what_is_recorded_goes_to_both_places_under_the_episode_s_number() -> No
     also: list[Any] = []
     fed = Fed(first=4, also=lambda *row: also.append(row))
     fed.drive(3)
-    assert fed.drive(1, learning=False, failed=True).ended.failed
+    assert fed.drive(1, learning=False, failed=True).failed
     fed.drive(2, learning=False)
     fed.drive(2)
     record = fed.learner_state.transitions
@@ -242,11 +244,27 @@ def test_a_recovery_ends_where_the_car_is_put_elsewhere() -> None:
     assert learner_state.counts.stuck == [line]
 
 
-def test_rounds_are_reported() -> None:
-    fed = Fed(round_length=10.0)
-    assert not fed.drive(10).round
-    assert fed.drive(1).round
-    assert not fed.drive(1).round
+@given(
+    st.lists(
+        st.tuples(st.integers(1, 2), st.booleans(), *[st.sampled_from([0.0, 1.0, math.nan, math.inf])] * 2), max_size=30
+    )
+)
+def test_a_transition_is_a_step_of_the_learner(samples: list[tuple[int, bool, float, float]]) -> None:
+    """Two samples that follow each other, both finite, in the first of which the learner steered."""
+    learner_state, number, seen = Fed().learner_state, 0, {}
+    for gap, learning, value, action in samples:
+        number += gap
+        seen[number] = (learning, value, action)
+        s = (float(number), value, 5.0, 0.0, 0.0, 0.0)
+        learner_state.sample(number, 0.0, s, action, learning=learning, failed=False, progress=0.0, e=0.0)
+    expected = [
+        (n, action)
+        for n, (learning, value, action) in seen.items()
+        if learning and math.isfinite(value + action) and n + 1 in seen and math.isfinite(seen[n + 1][1])
+    ]
+    record = learner_state.transitions
+    assert list(zip(record.s[:, 0], record.a)) == expected
+    assert (record.s_next[:, 0] == record.s[:, 0] + 1.0).all()
 
 
 def test_the_untrained_policy_is_the_seed_s() -> None:

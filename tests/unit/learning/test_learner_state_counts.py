@@ -9,12 +9,13 @@ import pytest
 from steerkit.learning.learner_state import Counts
 
 
-def driven(counts: Counts, *progress: float, t: float = 0.0, round_length: float = math.inf) -> list[bool]:
-    """What each of the learner's samples, half a second apart, says about rounds."""
-    return [
+def driven(counts: Counts, *progress: float, t: float = 0.0, round_length: float = math.inf) -> list[int]:
+    """The rounds after each of the learner's samples, half a second apart."""
+    rounds = []
+    for k, s in enumerate(progress):
         counts.steered(t + 0.5 * k, progress=s, e=0.3 if k % 2 else -0.1, round_length=round_length)
-        for k, s in enumerate(progress)
-    ]
+        rounds.append(counts.rounds)
+    return rounds
 
 
 def test_an_episode_lasts_from_the_take_over_to_the_loss_of_the_wheel() -> None:
@@ -51,16 +52,9 @@ def test_metres_count_forward_once_and_under_the_learner_only() -> None:
 
 def test_a_round_is_driven_within_one_episode() -> None:
     counts = Counts()
-    assert not any(driven(counts, 0.0, 60.0, round_length=100.0))
+    assert driven(counts, 0.0, 60.0, round_length=100.0) == [0, 0]
     counts.ended(5.0, failed=True)
-    assert driven(counts, 60.0, 159.0, 160.0, 200.0, 260.0, t=10.0, round_length=100.0) == [
-        False,
-        False,
-        True,
-        False,
-        True,
-    ]
-    assert counts.rounds == 2
+    assert driven(counts, 60.0, 159.0, 160.0, 200.0, 260.0, t=10.0, round_length=100.0) == [0, 0, 1, 1, 2]
     assert (counts.first_round_begun, counts.first_round_done, counts.failures_to_round) == (10.0, 11.0, 1)
 
 

@@ -119,7 +119,7 @@ def test_a_run_goes_on_from_any_of_its_trainings_with_the_same_numbers(name: str
         rundir.keep_in(killed, place)
         while killed.counts.updates < updates:
             killed.drive()
-        halves += killed.learner_state.recorder.before is not None
+        halves += killed.learner_state.before is not None
         resumed = learn(experiment, place)
         for rows in ("s", "a", "s_next", "episode"):
             np.testing.assert_array_equal(getattr(resumed.transitions, rows), getattr(whole.transitions, rows))
@@ -142,7 +142,7 @@ def test_a_run_resumed_at_any_checkpoint_is_the_run_that_went_on(tmp_path: Path)
     def keep(run: LearningRun) -> None:
         write(run)
         what = (
-            run.learner_state.recorder.before is not None,
+            run.learner_state.before is not None,
             run.learner_state.trusted,
             run.learner_state.trainer.pending is not None,
         )

@@ -28,10 +28,10 @@ def test_settings_are_changed_by_name() -> None:
         ("fit.nets.x=2", "'nets' has no parts"),
         ("fit.nets=0", "expected >= 1"),
         ("after_failure=cry", "valid: recovery, reset, shift"),
-        ("corrected_seconds=0", "corrected_seconds = 0 s, expected > 0"),
+        ("corrected_seconds=0", "corrected_seconds = 0 [s], expected > 0"),
         ("teaches=cry", "valid: applied, chosen"),
         ("safe=1", "expected bool"),
-        ("exploration=2", "expected 0 <= exploration <= 1"),
+        ("exploration=2", "exploration = 2 [1], expected 0 to 1"),
     ],
 )
 def test_wrong_changes_are_told(change: str, told: str) -> None:
