@@ -56,20 +56,6 @@ class Table:
     """Their times (n,) [s]; None where one of the columns is the time."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Source:
-    """One file as it was read."""
-
-    path: Path
-    tables: tuple[Table, ...]
-    notes: tuple[str, ...]
-    """What was repaired, in words."""
-    digest: str
-    """SHA-256 of the file."""
-    size: int
-    """Bytes of the file."""
-
-
 QUANTITIES = {
     "t": "s",
     "delta_sw": "rad",
@@ -88,35 +74,22 @@ and psi, or both), and where it was, if the log knows."""
 UNITS: dict[str, dict[str, float]] = {**FACTORS, "deg": {"deg": 1.0, "rad": 1.0 / RAD_PER_DEG}}
 """SI unit (degrees for a place on Earth) to the units that a column may have, and what one of them is in it."""
 
-_ENDINGS_OF = {
-    "s": "s sec",
+_SPELLINGS = {
+    "s": "s sec seconds",
     "ms": "ms",
     "us": "us",
     "ns": "ns",
-    "m": "m",
-    "m/s": "mps m_s",
-    "km/h": "kmh kph",
+    "m": "m meter metre",
+    "m/s": "mps m_s m/sec",
+    "km/h": "kmh kph km/hr",
     "mph": "mph",
-    "deg": "deg",
-    "deg/s": "deg_s degs dps",
-    "rad": "rad",
-    "rad/s": "rad_s radps rads",
+    "deg": "deg ° degree degrees grad",
+    "deg/s": "deg_s degs dps °/s deg/sec degrees/s deg/second",
+    "rad": "rad radian radians",
+    "rad/s": "rad_s radps rads rad/sec",
 }
-_ENDINGS = {ending: unit for unit, endings in _ENDINGS_OF.items() for ending in endings.split()}
-"""How a name may end, and the unit that it then says."""
-
-_SPELLINGS = {
-    "deg": ("°", "degree", "degrees", "grad"),
-    "rad": ("radian", "radians"),
-    "deg/s": ("°/s", "deg/sec", "degrees/s", "deg/second"),
-    "rad/s": ("rad/sec", "radps"),
-    "km/h": ("kph", "kmh", "km/hr"),
-    "m/s": ("mps", "m/sec"),
-    "m": ("meter", "metre"),
-    "s": ("sec", "seconds"),
-}
-_SPELT = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
-"""Units as files spell them."""
+_SPELT = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings.split()}
+"""Units as files spell them, or as names end in them."""
 
 _KNOWN_AS = {
     "t": "t time timestamp timestamps stamp time_stamp elapsed_time log_time t_abs",
@@ -172,7 +145,7 @@ def _place(quantity: str, name: str) -> int | None:
     """Where in the list of known names this one stands: whole, or its last parts."""
     parts = re.split(r"[./]", words(name).strip("./"))
     tails = [".".join(parts[k:]) for k in range(len(parts))]
-    units = [ending for ending, unit in _ENDINGS.items() if unit in UNITS[QUANTITIES[quantity]]]
+    units = [ending for ending, unit in _SPELT.items() if unit in UNITS[QUANTITIES[quantity]]]
     for place, known in enumerate(_NAMES[quantity]):
         whole = tails if len(known) > 1 else tails[:1]  # a letter alone is the end of many names
         if any(tail == known or tail in [f"{known}_{unit}" for unit in units] for tail in whole):
@@ -196,7 +169,7 @@ def unit_of(quantity: str, channel: Channel) -> str:
 def ended_unit(quantity: str, name: str) -> str:
     """The unit that a name ends in, if it is one of that quantity; else empty."""
     lower, units = name.lower(), UNITS[QUANTITIES[quantity]] if quantity in QUANTITIES else {}
-    ends = [unit for ending, unit in _ENDINGS.items() if lower.endswith(f"_{ending}")]
+    ends = [unit for ending, unit in _SPELT.items() if lower.endswith(f"_{ending}")]
     return max((unit for unit in ends if unit in units), key=len, default="")
 
 
@@ -212,6 +185,22 @@ class Column:
     """A factor: -1 where right is positive, the steering ratio where the file has road-wheel angles."""
     offset: float = 0.0
     """Added, in SI."""
+
+    def unit_for(self, quantity: str) -> str:
+        """The unit that is stated, or that the name ends in, or else the SI unit."""
+        return self.unit or ended_unit(quantity, self.name) or QUANTITIES[quantity]
+
+    def factor(self, quantity: str, where: str) -> float:
+        """What a number of the column is in SI; raises ValueError for a unit of something else."""
+        units, unit = UNITS[QUANTITIES[quantity]], self.unit_for(quantity)
+        require(unit in units, where, f"{quantity}: unit '{unit}' is not known; valid: {', '.join(units)}")
+        require(self.scale != 0.0, where, f"{quantity}: scale = 0, expected another number")
+        return self.scale * units[unit]
+
+    def in_si(self, quantity: str, values: Array, where: str) -> Array:
+        """The column's values (n,) in SI."""
+        factor = self.factor(quantity, where)
+        return values if (factor, self.offset) == (1.0, 0.0) else factor * values + self.offset
 
 
 @dataclass(frozen=True)
@@ -244,7 +233,7 @@ class ColumnMap:
                 float(given.get("scale", 1.0)),
                 float(given.get("offset", 0.0)),
             )
-            _factor(quantity, columns[quantity], where)
+            columns[quantity].factor(quantity, where)
         return cls(columns)
 
     @classmethod
@@ -289,18 +278,10 @@ class ColumnMap:
         )
         return ColumnMap(columns)
 
-    def in_si(self, columns: Mapping[str, Any], *, where: str) -> dict[str, Any]:
-        """The mapped columns as arrays in SI units."""
-        values = {}
-        for quantity, column in self.columns.items():
-            factor, number = _factor(quantity, column, where), columns[column.name]
-            values[quantity] = number if (factor, column.offset) == (1.0, 0.0) else factor * number + column.offset
-        return values
-
     def text(self) -> str:
         """The map in words, for notes: which column was read as what."""
         return ", ".join(
-            f"{quantity} = {f'{c.scale:g} * ' if c.scale != 1.0 else ''}{c.name} [{_unit(quantity, c)}]"
+            f"{quantity} = {f'{c.scale:g} * ' if c.scale != 1.0 else ''}{c.name} [{c.unit_for(quantity)}]"
             for quantity, c in self.columns.items()
         )
 
@@ -320,17 +301,6 @@ def _found(quantity: str, column: Column, channels: Mapping[str, Channel], where
         units = ", ".join(UNITS[QUANTITIES[quantity]])
         raise ValueError(f"{where}: {name} is in '{said}', and {quantity} may be in {units}; say unit in the map")
     return replace(column, name=name, unit=unit)
-
-
-def _unit(quantity: str, column: Column) -> str:
-    return column.unit or ended_unit(quantity, column.name) or QUANTITIES[quantity]
-
-
-def _factor(quantity: str, column: Column, where: str) -> float:
-    units, unit = UNITS[QUANTITIES[quantity]], _unit(quantity, column)
-    require(unit in units, where, f"{quantity}: unit '{unit}' is not known; valid: {', '.join(units)}")
-    require(column.scale != 0.0, where, f"{quantity}: scale = 0, expected another number")
-    return column.scale * units[unit]
 
 
 def _near(name: str, options: Iterable[str]) -> str:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from steerkit.diagram.units import degrees_of
-from steerkit.logs.channels import QUANTITIES, ColumnMap, candidates, ended_unit
+from steerkit.logs.channels import QUANTITIES, Channel, ColumnMap, candidates, ended_unit
 from steerkit.logs.drive import Drive
 from steerkit.logs.reading import RawLog, drive_of
 from steerkit.plots.style import COLOURS, new_figure, style
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
+class Row(NamedTuple):
     """One channel in numbers."""
 
     name: str
@@ -53,56 +53,44 @@ class Contents:
 
     def table(self) -> list[dict[str, Any]]:
         """The rows as a program would read them."""
-        return [{k: v if v == v else None for k, v in vars(row).items()} for row in self.rows]
+        return [{k: v if v == v else None for k, v in row._asdict().items()} for row in self.rows]
 
 
-def contents(log: RawLog, columns: ColumnMap | None = None, **how: Any) -> Contents:
+def contents(log: RawLog, columns: ColumnMap | None = None, *, steer_ratio: float | None = None) -> Contents:
     """Everything about a log: rows by channel, and the drive in it or why there is none.
 
-    columns: what a user says of it. how: `steer_ratio`, `dt`, `trusted` as for `read_drive`.
+    columns: what a user says of it. steer_ratio: as for `read_drive`.
     """
     given = columns or ColumnMap({})
-    drive, trouble, notes = None, "", log.notes
-    try:
-        drive = drive_of(log, given, **how)
-        notes = drive.notes
-    except ValueError as error:
-        trouble = str(error)
-    taken = _taken(log, given)
-    rows = tuple(_row(name, log, taken.get(name, "")) for name in log.channels)
-    return Contents(log=log, rows=rows, drive=drive, trouble=trouble, notes=notes)
-
-
-def _taken(log: RawLog, given: ColumnMap) -> dict[str, str]:
-    """Channel to the quantity that it is, or could be."""
-    taken: dict[str, str] = {}
-    for quantity in QUANTITIES:
-        for name in candidates(quantity, log.channels):
-            taken.setdefault(name, f"({quantity})")
+    taken = {name: f"({q})" for q in reversed(QUANTITIES) for name in candidates(q, log.channels)}
+    drive, trouble, used = None, "", given.columns
     try:
         used = given.with_guesses(log.channels, where=log.name).columns
-    except ValueError:
-        used = {q: c for q, c in given.columns.items() if c.name in log.channels}
-    return taken | {column.name: quantity for quantity, column in used.items()}
+        drive = drive_of(log, given, steer_ratio=steer_ratio)
+    except ValueError as error:
+        trouble = str(error)
+    taken |= {column.name: quantity for quantity, column in used.items()}
+    rows = tuple(_row(channel, taken.get(name, "")) for name, channel in log.channels.items())
+    return Contents(log=log, rows=rows, drive=drive, trouble=trouble, notes=drive.notes if drive else log.notes)
 
 
-def _row(name: str, log: RawLog, quantity: str) -> Row:
-    channel = log.channels[name]
+def _row(channel: Channel, quantity: str) -> Row:
     t = channel.t[np.isfinite(channel.t)]
     steps = np.abs(np.diff(t)) if len(t) > 1 else np.zeros(1)
     values = channel.values[np.isfinite(channel.values)]
-    nothing = float("nan")
+    begin, end = (float(t[0]), float(t[-1])) if len(t) else (math.nan, math.nan)
+    low, high = (float(values.min()), float(values.max())) if len(values) else (math.nan, math.nan)
     return Row(
-        name=name,
-        unit=channel.unit or ended_unit(quantity.strip("()"), name),
+        name=channel.name,
+        unit=channel.unit or ended_unit(quantity.strip("()"), channel.name),
         samples=len(channel.t),
         rate=channel.rate,
-        begin=float(t[0]) if len(t) else nothing,
-        end=float(t[-1]) if len(t) else nothing,
+        begin=begin,
+        end=end,
         gaps=int(np.sum(steps > max(5.0 * float(np.median(steps)), 0.25))),
         longest=float(steps.max()),
-        low=float(values.min()) if len(values) else nothing,
-        high=float(values.max()) if len(values) else nothing,
+        low=low,
+        high=high,
         invalid=len(channel.values) - len(values),
         quantity=quantity,
     )

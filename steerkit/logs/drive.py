@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.ndimage import maximum_filter, uniform_filter1d
 
 from steerkit._support.errors import require
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import RAD_PER_DEG
 from steerkit.logs.channels import Array
+from steerkit.paths.waypoints import east_north
 
 PAUSE = 0.25
 """From this time on without a sample [s], or five of its usual steps, a channel pauses."""
@@ -56,10 +57,8 @@ def in_metres(
     known &= (lat != 0.0) | (lon != 0.0)  # what a receiver without a fix says
     if "x" in values or not known.any():
         return values, times
-    import pymap3d
-
     first = int(np.argmax(known))
-    east, north, _ = pymap3d.geodetic2enu(lat, lon, 0.0, lat[first], lon[first], 0.0)
+    east, north = east_north(lat, lon, (lat[first], lon[first])).T
     notes.append(f"x, y: east and north of {lat[first]:.6f}, {lon[first]:.6f} [degrees]")
     values |= {"x": np.where(known, east, np.nan), "y": np.where(known, north, np.nan)}
     return values, times | {"x": at, "y": at}
@@ -97,8 +96,8 @@ FASTEST = {"delta_sw": 35.0, "v": 30.0, "r": 30.0, "psi": 10.0}
 """What no car changes faster than: 2000 deg/s of wheel [rad/s], 3 g [m/s^2], yaw [rad/s^2], heading [rad/s]."""
 ODD = ("delta_sw", "delta", "v", "r")
 """Quantities of which such values are reported; a heading and a place jump by themselves."""
-_ODD, _AROUND = 10.0, 8
-"""A value is odd that lies so many times further beside its neighbours' middle than any of so many on both sides."""
+_ODD, _NEAR = 10.0, [1] * 8 + [0] * 3 + [1] * 8
+"""A value is odd that lies so many times further beside its neighbours' middle than any of those about it."""
 
 
 def without_lone(columns: dict[str, Array], remarks: list[str]) -> None:
@@ -129,9 +128,8 @@ def odd_values(values: Mapping[str, Array], times: Mapping[str, Array]) -> list[
     for quantity, numbers in values.items():
         t = times[quantity]
         known = np.isfinite(t) & np.isfinite(numbers)
-        if not known.all():
-            t, numbers = t[known], numbers[known]
-        if len(t) <= 2 * _AROUND:
+        t, numbers = t[known], numbers[known]
+        if len(t) < len(_NEAR):
             continue
         steps = np.abs(np.diff(numbers))
         resolution = float(np.min(steps, initial=np.inf, where=steps > 0.0))
@@ -159,19 +157,11 @@ def lone(value: Array, reach: Array) -> NDArray[np.intp]:
 def standing_off(values: Array, least: float) -> NDArray[np.intp]:
     """Rows whose value alone lies beside the middle of its neighbours, by more than `least` and ten times as far as any
     other near it: of a signal with noise or in steps, hardly any."""
-    beside = values[:-2] + values[2:]
-    beside *= -0.5
-    beside += values[1:-1]
-    np.abs(beside, out=beside)
-    ahead = maximum_filter1d(beside, _AROUND, origin=-(_AROUND // 2), mode="constant")  # of a row and those after it
-    # a spoilt value moves its neighbours' middles too, by half: those next to it do not count
-    near = np.zeros_like(beside)
-    near[:-2] = ahead[2:]
-    np.maximum(near[_AROUND + 1 :], ahead[: -_AROUND - 1], out=near[_AROUND + 1 :])
-    near *= _ODD
-    np.maximum(near[1:], 1.5 * beside[:-1], out=near[1:])
-    np.maximum(near[:-1], 1.5 * beside[1:], out=near[:-1])
-    return np.flatnonzero(beside > np.maximum(near, least)) + 1
+    beside = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+    # a spoilt value moves its neighbours' middles too, by half: those next to it count for less
+    most = np.maximum(1.5 * maximum_filter(beside, footprint=[1, 0, 1], mode="constant"), least)
+    np.maximum(most, _ODD * maximum_filter(beside, footprint=_NEAR, mode="constant"), out=most)
+    return np.flatnonzero(beside > most) + 1
 
 
 V_DRIVING = 3.0
@@ -245,21 +235,15 @@ class Drive:
     @classmethod
     def of(
         cls,
+        given: Mapping[str, ArrayLike | None],
         *,
-        t: ArrayLike,
-        delta_sw: ArrayLike,
-        v: ArrayLike,
-        r: ArrayLike | None = None,
-        psi: ArrayLike | None = None,
-        x: ArrayLike | None = None,
-        y: ArrayLike | None = None,
         name: str = "drive",
         dt: float | None = None,
         trusted: bool = False,
-        notes: tuple[str, ...] = (),
+        notes: Sequence[str] = (),
         digest: str = "",
     ) -> Drive:
-        """A drive from columns in SI (n,), with r or psi or both, repaired and brought to one clock.
+        """A drive from columns in SI (n,): t, delta_sw, v, r or psi or both, x and y if known; on one clock.
 
         Repaired, with a note each: rows that are not finite, rows out of order, repeated times, lone values that no
         car reaches, gaps (bridged, and left out of every comparison), a yaw rate whose zero differs from the heading's
@@ -267,23 +251,8 @@ class Drive:
         parabola over 0.2 s. dt: the clock's step [s] (default: the recording's, within 0.01 to 0.05). trusted: do not
         judge whether units and signs are plausible. Raises ValueError for what cannot be repaired, with advice.
         """
-        given = {"t": t, "delta_sw": delta_sw, "v": v, "r": r, "psi": psi, "x": x, "y": y}
         columns = {key: np.asarray(value, dtype=float).ravel() for key, value in given.items() if value is not None}
-        return cls.made(columns, name=name, dt=dt, trusted=trusted, notes=notes, digest=digest)
-
-    @classmethod
-    def made(
-        cls,
-        columns: dict[str, Array],
-        *,
-        name: str,
-        dt: float | None = None,
-        trusted: bool = False,
-        notes: tuple[str, ...] = (),
-        digest: str = "",
-    ) -> Drive:
-        """`of` columns by name that are not needed any more: they are taken out of the dictionary one by one, so that
-        a long drive is not in memory twice."""
+        del given  # a long drive is not in memory twice
         remarks = list(notes)
         without_lone(_whole_rows(columns, name, remarks), remarks)
         step, gaps = _steps(t := columns["t"], name, remarks)

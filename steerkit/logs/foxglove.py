@@ -6,14 +6,12 @@ the scene of Foxglove's 3D panel. Clients of the live server can look, and nothi
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -62,60 +60,6 @@ def by_topic(shown: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return topics
 
 
-def number(value: Any) -> float | None:
-    """As JSON has it: null for what is none."""
-    value = float(value)
-    return value if math.isfinite(value) else None
-
-
-def packed(values: Mapping[str, Any]) -> bytes:
-    """A message."""
-    return json.dumps(values, allow_nan=False, separators=(",", ":")).encode()
-
-
-def schema(topic: str, fields: Iterable[str]) -> tuple[str, dict[str, Any]]:
-    """Name and JSON schema of a topic's"""
-    if topic == POSE:
-        return "foxglove.PoseInFrame", _POSE
-    if topic == DRIVEN:
-        return "foxglove.PosesInFrame", _POSES
-    properties = {name: {"type": "number"} for name in sorted(fields)}
-    return topic.strip("/").replace("/", "."), {"type": "object", "properties": properties}
-
-
-_XYZ = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyz"}}
-_XYZW = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyzw"}}
-_PLACED = {"type": "object", "properties": {"position": _XYZ, "orientation": _XYZW}}
-_WHEN = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-_POSE = {"type": "object", "properties": {"timestamp": _WHEN, "frame_id": {"type": "string"}, "pose": _PLACED}}
-_POSES = {
-    "type": "object",
-    "properties": {"timestamp": _WHEN, "frame_id": {"type": "string"}, "poses": {"type": "array", "items": _PLACED}},
-}
-
-
-def pose(x: Any, y: Any, psi: Any, when: int) -> dict[str, Any]:
-    """Where the car is: x, y [m], psi [rad] (None: not known), at `when` since 1970 [ns]."""
-    return {**_stamped(when), "pose": _placed(number(x), number(y), None if psi is None else number(psi))}
-
-
-def way(points: Sequence[Sequence[float]], when: int) -> dict[str, Any]:
-    """The way driven, (n, 2) [m], no more than MOST of its points or so."""
-    return {**_stamped(when), "poses": [_placed(x, y, None) for x, y in points[:: max(1, len(points) // MOST)]]}
-
-
-def _stamped(when: int) -> dict[str, Any]:
-    return {"timestamp": {"sec": when // 10**9, "nsec": when % 10**9}, "frame_id": "map"}
-
-
-def _placed(x: float | None, y: float | None, psi: float | None) -> dict[str, Any]:
-    turn = psi or 0.0
-    return {
-        "position": {"x": x or 0.0, "y": y or 0.0, "z": 0.0},
-        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(turn / 2.0), "w": math.cos(turn / 2.0)},
-    }
-
-
 LAYOUTS = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
 """The layouts that ship: where the car is, e, the wheel, the states."""
 BEGIN = 1_700_000_000_000_000_000
@@ -153,14 +97,15 @@ class Topics:
     """
 
     def __init__(self, *, start: int | None = None, every: float = EVERY):
-        installed = find_spec("foxglove") is not None
-        require(installed, "Foxglove", "needs the package foxglove-sdk: pip install 'steerkit-control[logs]'")
-        import foxglove
-
+        try:
+            import foxglove
+            import foxglove.channels
+        except ImportError:
+            raise ValueError("Foxglove: needs the package foxglove-sdk: pip install 'steerkit-control[logs]'") from None
         foxglove.set_log_level(logging.CRITICAL)  # who dials a wrong number is no news on a terminal
-        self._context = foxglove.Context()
+        self.sdk, self.context = foxglove, foxglove.Context()
         self._start, self._every, self._shown_way = start, every, 0.0
-        self._channels: dict[str, Any] = {}
+        self.channels: dict[str, Any] = {}
         self._topics: dict[str, dict[str, int]] = {}
         self._points: list[tuple[float, float]] = []
 
@@ -170,26 +115,27 @@ class Topics:
         shown = shown_as(names)
         self._topics = by_topic({name: place[source] for name, source in shown.items()})
         for topic, fields in self._topics.items():
-            self._open(topic, *schema(topic, fields))
+            self._open(topic, "number", sorted(fields))
         if {"x", "y"} <= self._topics.get("/car", {}).keys():
-            for topic in (POSE, DRIVEN):
-                self._open(topic, *schema(topic, ()))
+            kinds = self.sdk.channels
+            self.channels[POSE] = kinds.PoseInFrameChannel(POSE, context=self.context)
+            self.channels[DRIVEN] = kinds.PosesInFrameChannel(DRIVEN, context=self.context)
 
     def show(self, t: float, values: Sequence[float]) -> None:
-        """One sample, at t [s]. Never waits for who looks."""
+        """One sample, at t [s]. Never waits for who looks; what is no number is null, as JSON has it."""
         when = self._when(t)
         for topic, fields in self._topics.items():
-            if self._channels[topic].has_sinks():
-                self._log(topic, {name: number(values[k]) for name, k in fields.items()}, when)
-        if POSE in self._channels:
+            if self.channels[topic].has_sinks():
+                row = {name: values[k] if math.isfinite(values[k]) else None for name, k in fields.items()}
+                self.channels[topic].log(row, log_time=when)
+        if POSE in self.channels:
             self._show_scene(values, when)
 
     def note(self, topic: str, words: Mapping[str, str], t: float) -> None:
         """Words on a topic of their own, at t [s]."""
-        if topic not in self._channels:
-            properties = {name: {"type": "string"} for name in words}
-            self._open(topic, topic.strip("/"), {"type": "object", "properties": properties})
-        self._log(topic, words, self._when(t))
+        if topic not in self.channels:
+            self._open(topic, "string", words)
+        self.channels[topic].log(dict(words), log_time=self._when(t))
 
     def _when(self, t: float) -> int:
         if self._start is None:
@@ -210,32 +156,37 @@ class Topics:
         self.show(sample.t, values)
 
     def _show_scene(self, values: Sequence[float], when: int) -> None:
-        car = self._topics["/car"]
-        x, y = values[car["x"]], values[car["y"]]
+        x, y, psi = (values[k] if k is not None else 0.0 for k in map(self._topics["/car"].get, ("x", "y", "psi")))
         if not (math.isfinite(x) and math.isfinite(y)):
             return
-        self._log(POSE, pose(x, y, values[car["psi"]] if "psi" in car else None, when), when)
+        self._place(POSE, when, pose=self._pose(x, y, psi if math.isfinite(psi) else 0.0))
         self._points.append((x, y))
         if len(self._points) > 2 * MOST:
             self._points = self._points[::2]
-        if time.monotonic() - self._shown_way >= self._every and self._channels[DRIVEN].has_sinks():
+        if time.monotonic() - self._shown_way >= self._every and self.channels[DRIVEN].has_sinks():
             self._shown_way = time.monotonic()
             self.show_way(when)
 
     def show_way(self, when: int) -> None:
-        """The way that was driven so far, stamped `when` since 1970 [ns]."""
-        self._log(DRIVEN, way(self._points, when), when)
+        """The way that was driven so far, no more than MOST of its points or so, stamped `when` since 1970 [ns]."""
+        points = self._points[:: max(1, len(self._points) // MOST)]
+        self._place(DRIVEN, when, poses=[self._pose(x, y) for x, y in points])
 
-    def _open(self, topic: str, name: str, schema: dict[str, Any]) -> None:
-        from foxglove import Channel, Schema
+    def _pose(self, x: float, y: float, psi: float = 0.0) -> Any:
+        kinds = self.sdk.messages
+        turn = kinds.Quaternion(z=math.sin(psi / 2.0), w=math.cos(psi / 2.0))
+        return kinds.Pose(position=kinds.Vector3(x=x, y=y), orientation=turn)
 
-        text = Schema(name=name, encoding="jsonschema", data=json.dumps(schema).encode())
-        self._channels[topic] = Channel(topic, schema=text, message_encoding="json", context=self._context).base
+    def _place(self, topic: str, when: int, **what: Any) -> None:
+        kinds = self.sdk.messages
+        message = kinds.PosesInFrame if topic == DRIVEN else kinds.PoseInFrame
+        stamp = kinds.Timestamp(when // 10**9, when % 10**9)
+        self.channels[topic].log(message(timestamp=stamp, frame_id="map", **what), log_time=when)
 
-    def _log(self, topic: str, values: Mapping[str, Any], when: int) -> None:
-        channel = self._channels[topic]
-        if channel.has_sinks():
-            channel.log(packed(values), log_time=when)
+    def _open(self, topic: str, kind: str, fields: Iterable[str]) -> None:
+        title, properties = topic.strip("/").replace("/", "."), {name: {"type": kind} for name in fields}
+        schema = {"title": title, "type": "object", "properties": properties}
+        self.channels[topic] = self.sdk.Channel(topic, schema=schema, context=self.context)
 
 
 class Server(Topics):
@@ -247,10 +198,9 @@ class Server(Topics):
     def __init__(self, where: str):
         host, port = place_of(where)
         super().__init__()
-        from foxglove import start_server
-
+        about = {"name": "steerkit", "host": host, "port": port, "capabilities": []}
         try:
-            self._server = start_server(name="steerkit", host=host, port=port, capabilities=[], context=self._context)
+            self._server = self.sdk.start_server(**about, context=self.context)
         except (RuntimeError, OverflowError) as error:
             raise ValueError(
                 f"stream at {where}: {str(error).removeprefix('FoxgloveError: ')}; choose another port, or 0 for any"
@@ -268,7 +218,7 @@ class Server(Topics):
 
 def to_mcap(log: Log | Drive, file: str | Path) -> dict[str, int]:
     """Write a log as MCAP with a topic a group (`/car`, `/path`, `/wheel`, `/signals/...`) in JSON, and `/scene/pose`,
-    `/scene/driven` for Foxglove's 3D panel; returns messages by topic.
+    `/scene/driven` in Foxglove's own kinds for its 3D panel; returns messages by topic.
 
     Numbers come back bit for bit; one that is none is null. Raises ValueError for a batch of cars, and where
     foxglove-sdk is missing.
@@ -277,15 +227,13 @@ def to_mcap(log: Log | Drive, file: str | Path) -> dict[str, int]:
     columns = {name: values for name, values in record.columns().items() if name != "t"}
     require(not any("[" in name and name.startswith("car.") for name in columns), "export", "a batch of cars; save one")
     topics = Topics(start=BEGIN, every=math.inf)
-    from foxglove import open_mcap
-
-    with atomic_write(file) as draft, open_mcap(draft, allow_overwrite=True, context=topics._context):
+    with atomic_write(file) as draft, topics.sdk.open_mcap(draft, allow_overwrite=True, context=topics.context):
         topics.begin(list(columns))
         for t, *row in zip(record.t.tolist(), *(values.tolist() for values in columns.values())):
             topics.show(t, row)
         if topics._points:
             topics.show_way(BEGIN)
-    return dict.fromkeys([topic for topic in topics._channels if topic != DRIVEN], len(record.t))
+    return dict.fromkeys([topic for topic in topics.channels if topic != DRIVEN], len(record.t))
 
 
 def paced(each: Callable[[Sample], None], pace: float) -> Callable[[Sample], None]:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.logs import can_frames, ros, tables
-from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Source, Table, candidates, is_time, unit_of
+from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, candidates, is_time, unit_of
 from steerkit.logs.drive import ODD, Drive, aligned, in_metres, in_order, odd_values
 
 LONGEST = 0.5
@@ -29,8 +30,7 @@ _LEAST = 5.0
 """Shortest time that both have to have been recorded [s]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Agreement:
+class Agreement(NamedTuple):
     """other(t + lag) = scale * reference(t) + offset, as well as `correlation` says."""
 
     lag: float
@@ -60,27 +60,23 @@ def yaw_axis(used: ColumnMap, channels: Mapping[str, Channel], notes: list[str])
     axes = [axis for axis in axes if axis in channels]
     if len(axes) < 2:
         return used
-    steered, t = _steered(used, channels)
+    angle = used.columns.get("delta_sw") or used.columns["delta"]
+    wheel, v = channels[angle.name], channels[used.columns["v"].name]
+    steered = np.sign(angle.scale) * wheel.values * np.interp(wheel.t, *in_order(v.t, v.values))
     try:
-        found = {axis: agreement(t, steered, channels[axis].t, channels[axis].values) for axis in axes}
+        found = {
+            axis: agreement(wheel.t, steered, channels[axis].t, channels[axis].values).correlation for axis in axes
+        }
     except ValueError:
         return used
-    best = max(axes, key=lambda axis: abs(found[axis].correlation))
-    if abs(found[best].correlation) < AGREE:
+    best = max(axes, key=lambda axis: abs(found[axis]))
+    if abs(found[best]) < AGREE:
         return used
-    scale = 1.0 if found[best].correlation > 0.0 else -1.0
-    told = ", ".join(f"{axis} {found[axis].correlation:.2f}" for axis in axes)
+    told = ", ".join(f"{axis} {found[axis]:.2f}" for axis in axes)
     notes.append(f"r is the axis of the gyro that goes with speed times steering angle, + = left; correlations: {told}")
-    column = replace(used.columns["r"], name=best, scale=scale, unit=unit_of("r", channels[best]))
+    sign = 1.0 if found[best] > 0.0 else -1.0
+    column = replace(used.columns["r"], name=best, scale=sign, unit=unit_of("r", channels[best]))
     return ColumnMap({**used.columns, "r": column})
-
-
-def _steered(used: ColumnMap, channels: Mapping[str, Channel]) -> tuple[Array, Array]:
-    angle, speed = (used.columns.get("delta_sw") or used.columns["delta"], used.columns["v"])
-    wheel, v = channels[angle.name], channels[speed.name]
-    t, values = in_order(v.t, v.values)
-    sign = 1.0 if angle.scale > 0.0 else -1.0
-    return sign * wheel.values * np.interp(wheel.t, t, values), wheel.t
 
 
 def other_channels(used: ColumnMap, channels: Mapping[str, Channel], where: str) -> list[str]:
@@ -90,24 +86,22 @@ def other_channels(used: ColumnMap, channels: Mapping[str, Channel], where: str)
         if quantity not in used.columns:
             continue
         column = used.columns[quantity]
-        others = [name for name in candidates(quantity, channels) if name != column.name]
         mine = channels[column.name]
+        reference = column.in_si(quantity, mine.values, where)
+        others = [name for name in candidates(quantity, channels) if name != column.name]
         for name in others[:_MOST]:
             other = channels[name]
-            there = Column(name, unit_of(quantity, other))
-            pair = ColumnMap({quantity: column}), ColumnMap({quantity: there})
-            si = [m.in_si({n: c.values for n, c in channels.items()}, where=where)[quantity] for m in pair]
-            if np.array_equal(mine.t, other.t) and np.array_equal(*si):
+            values = Column(name, unit_of(quantity, other)).in_si(quantity, other.values, where)
+            if np.array_equal(mine.t, other.t) and np.array_equal(reference, values):
                 notes.append(f"{quantity} is in {name} too, the same to the last bit")
                 continue
             try:
-                found = agreement(mine.t, si[0], other.t, si[1])
+                found = agreement(mine.t, reference, other.t, values)
             except ValueError:
                 continue
-            alike = (
-                str(found) if abs(found.correlation) >= AGREE else f"another one, correlation {found.correlation:.2f}"
-            )
-            notes.append(f"{quantity} is in {name} too: {alike}")
+            alike = abs(found.correlation) >= AGREE
+            told = found if alike else f"another one, correlation {found.correlation:.2f}"
+            notes.append(f"{quantity} is in {name} too: {told}")
     return notes
 
 
@@ -119,19 +113,27 @@ def agreement(t: Array, reference: Array, t_other: Array, other: Array) -> Agree
     the other look smaller. Raises ValueError for less than 5 s in common.
     """
     (t, reference), (t_other, other) = (in_order(*pair) for pair in ((t, reference), (t_other, other)))
-    begin = max(t[0], t_other[0]) + LONGEST if len(t) and len(t_other) else 0.0
-    end = min(t[-1], t_other[-1]) - LONGEST if len(t) and len(t_other) else 0.0
+    both = len(t) and len(t_other)
+    begin, end = (max(t[0], t_other[0]) + LONGEST, min(t[-1], t_other[-1]) - LONGEST) if both else (0.0, 0.0)
     require(end - begin >= _LEAST, "agreement", f"{max(end - begin, 0.0):.1f} s in common, expected {_LEAST:g} or more")
     clock = np.arange(begin, end, FINE)
     base = _smooth(np.interp(clock, t, reference))
+
+    def at(lag: float) -> tuple[Array, float]:
+        """The other one so much earlier, and its correlation with the reference."""
+        values = _smooth(np.interp(clock + lag, t_other, other))
+        spread = float(np.std(base) * np.std(values))
+        return values, float(np.mean((base - base.mean()) * values)) / spread if spread > 0.0 else 0.0
+
     steps = np.arange(-round(LONGEST / FINE), round(LONGEST / FINE) + 1)
-    alike = np.array([_correlation(base, _smooth(np.interp(clock + k * FINE, t_other, other))) for k in steps])
-    best = int(np.argmax(np.abs(alike)))
-    lag = float(FINE * (steps[best] + _between(np.abs(alike), best)))
-    late = _smooth(np.interp(clock + lag, t_other, other))
-    scale = _slope(base, late)
-    offset = float(np.mean(late) - scale * np.mean(base))
-    return Agreement(lag=lag, scale=scale, offset=offset, correlation=_correlation(base, late))
+    size = np.abs([at(k * FINE)[1] for k in steps])
+    best = int(np.argmax(size))
+    lag = FINE * float(steps[best])
+    if 0 < best < len(size) - 1 and (bend := size[best - 1] - 2.0 * size[best] + size[best + 1]) < 0.0:
+        lag += FINE * float(0.5 * (size[best - 1] - size[best + 1]) / bend)
+    late, correlation = at(lag)
+    scale = float(np.sign(correlation) * np.std(late) / np.std(base)) if correlation else 0.0
+    return Agreement(lag, scale, float(late.mean() - scale * base.mean()), correlation)
 
 
 def _smooth(values: Array) -> Array:
@@ -139,27 +141,6 @@ def _smooth(values: Array) -> Array:
     width = round(0.2 / FINE)
     sums = np.cumsum(np.concatenate(([0.0], values)))
     return (sums[width:] - sums[:-width]) / width
-
-
-def _correlation(a: Array, b: Array) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    size = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
-    return float(np.sum(a * b)) / size if size > 0.0 else 0.0
-
-
-def _between(values: Array, best: int) -> float:
-    """Where between samples the top of a parabola through the largest and its neighbours is, -0.5 to 0.5."""
-    if not 0 < best < len(values) - 1:
-        return 0.0
-    before, at, after = values[best - 1 : best + 2]
-    bend = before - 2.0 * at + after
-    return float(0.5 * (before - after) / bend) if bend < 0.0 else 0.0
-
-
-def _slope(a: Array, b: Array) -> float:
-    """b's spread over a's, with the sign of their correlation."""
-    spread = float(np.std(a))
-    return float(np.sign(_correlation(a, b)) * np.std(b) / spread) if spread > 0.0 else 0.0
 
 
 _SHIPPED = {"genesis": "genesis.csv.gz", "genesis-rfs": "genesis_rfs.csv.gz"}
@@ -179,21 +160,14 @@ class RawLog:
 
     name: str
     """Of the files, for messages."""
+    where: str
+    """The files with their folders, for errors."""
     channels: Mapping[str, Channel]
     """By name; `FILE/NAME` where two files have one of the same name."""
-    sources: tuple[Source, ...]
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was repaired in which file, in words."""
-        one = len(self.sources) == 1
-        return tuple(note if one else f"{s.path.name}: {note}" for s in self.sources for note in s.notes)
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the file; of the digests of several."""
-        digests = [source.digest for source in self.sources]
-        return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+    notes: tuple[str, ...]
+    """What was repaired in which file, in words."""
+    digest: str
+    """SHA-256 of the file; of the digests of several."""
 
 
 Files = str | Path | Iterable[str | Path]
@@ -209,18 +183,29 @@ def read_log(files: Files, *, dbc: str | Path | Iterable[str | Path] = (), time:
     databases = tuple(str(one) for one in _many(dbc))
     paths = [Path(file) for file in _many(files)]
     require(paths, "read_log", "no files, expected one or more")
-    sources = [_source(path, databases) for path in paths]
-    found = [(source, channel) for source in sources for channel in _channels(source, time)]
-    names = [channel.name for _, channel in found]
+    found, notes, digests = list[tuple[Path, Channel]](), list[str](), list[str]()
+    for path in paths:
+        made = list[str]()
+        digests.append(_digest(path))
+        tables = _tables(path, databases, made)
+        found += [(path, channel) for table in tables for channel in _channels(table, time, str(path))]
+        notes += [note if len(paths) == 1 else f"{path.name}: {note}" for note in made]
+    names = Counter(channel.name for _, channel in found)
     channels: dict[str, Channel] = {}
-    for source, channel in found:
-        alone = names.count(channel.name) == 1 or len(sources) == 1
-        name = again = channel.name if alone else f"{source.path.name}/{channel.name}"
+    for path, channel in found:
+        alone = names[channel.name] == 1 or len(paths) == 1
+        name = again = channel.name if alone else f"{path.name}/{channel.name}"
         count = 2
         while again in channels:
             again, count = f"{name} #{count}", count + 1
         channels[again] = replace(channel, name=again)
-    return RawLog(name=", ".join(path.name for path in paths), channels=channels, sources=tuple(sources))
+    return RawLog(
+        name=", ".join(path.name for path in paths),
+        where=", ".join(map(str, paths)),
+        channels=channels,
+        notes=tuple(notes),
+        digest=_of_all(digests),
+    )
 
 
 def read_drive(
@@ -252,7 +237,7 @@ def drive_of(
     log: RawLog, columns: ColumnMap, *, steer_ratio: float | None = None, dt: float | None = None, trusted: bool = False
 ) -> Drive:
     """The drive in a log that was read: see `read_drive`."""
-    where = ", ".join(str(source.path) for source in log.sources)
+    where = log.where
     used = columns.with_guesses(log.channels, where=where)
     clock = columns.columns.get("t")
     notes = list[str]()
@@ -260,9 +245,9 @@ def drive_of(
         used = yaw_axis(used, log.channels, notes)
     read = f"read {', '.join(([f't = {clock.name}'] if clock else []) + [used.text()])}"
     notes = [read, *log.notes, *notes, *other_channels(used, log.channels, where)]
-    values = used.in_si({name: channel.values for name, channel in log.channels.items()}, where=where)
+    values = {quantity: c.in_si(quantity, log.channels[c.name].values, where) for quantity, c in used.columns.items()}
     times = {quantity: log.channels[column.name].t for quantity, column in used.columns.items()}
-    name, digest = Path(log.sources[0].path).name if len(log.sources) == 1 else log.name, log.digest
+    name, digest = log.name, log.digest
     del log  # a long one may be larger than its drive
     notes += odd_values({quantity: values[quantity] for quantity in ODD if quantity in values}, times)
     if "delta" in values and "delta_sw" not in values:
@@ -273,58 +258,54 @@ def drive_of(
         notes.append(f"delta_sw = {ratio:g} * the road wheels' angle: the log has no other; the ratio is {kind}")
     if {"lat_deg", "lon_deg"} <= values.keys():
         values, times = in_metres(values, times, notes)
-    even = aligned(values, times, where, notes)
-    return Drive.made(even, name=name, dt=dt, trusted=trusted, notes=tuple(notes), digest=digest)
+    return Drive.of(aligned(values, times, where, notes), name=name, dt=dt, trusted=trusted, notes=notes, digest=digest)
 
 
 def _many(files: Any) -> list[Any]:
     return [files] if isinstance(files, str | Path) else list(files)
 
 
-def _source(path: Path, dbc: tuple[str, ...]) -> Source:
+def _tables(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     kind = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
     if not (kind in _READERS or path.is_dir()):
         known = ", ".join((*_READERS, *_SHIPPED))
         raise ValueError(f"{path}: a recording ends in one of, is the folder of a ROS 2 bag, or is called, {known}")
+    require(path.is_dir() or path.stat().st_size, str(path), "the file is empty")
     try:
-        digest, size = _digest(path)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror})") from error
-    require(size, str(path), "the file is empty")
-    notes: list[str] = []
-    try:
-        found = (ros.read_ros if path.is_dir() else _READERS[kind])(path, dbc, notes)
+        return (ros.read_ros if path.is_dir() else _READERS[kind])(path, dbc, notes)
     except ValueError:
         raise
     except Exception as error:  # of a library that did not expect these bytes
         raise ValueError(f"{path}: broken, or not what its name says ({type(error).__name__}: {error})") from error
-    return Source(path=path, tables=tuple(found), notes=tuple(notes), digest=digest, size=size)
 
 
-def _digest(path: Path) -> tuple[str, int]:
-    """SHA-256 and bytes of a file, or of the files of a folder in the order of their names."""
-    parts = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
-    digests = []
-    for part in parts:
-        with part.open("rb") as stream:
-            digests.append(hashlib.file_digest(stream, "sha256").hexdigest())
-    digest = digests[0] if len(parts) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
-    return digest, sum(part.stat().st_size for part in parts)
+def _digest(path: Path) -> str:
+    """SHA-256 of a file, or of the digests of the files of a folder in the order of their names."""
+    try:
+        if path.is_dir():
+            return _of_all([_digest(file) for file in sorted(path.iterdir()) if file.is_file()])
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _channels(source: Source, time: Column | None) -> Iterable[Channel]:
-    for table in source.tables:
-        t, clock = table.t, ""
-        if t is None:
-            clock = _clock(table, time, str(source.path))
-            column = Column(clock) if time is None or time.name != clock else time
-            column = replace(column, unit=column.unit or table.units.get(clock, ""))
-            t = ColumnMap({"t": column}).in_si({clock: table.columns[clock]}, where=str(source.path))["t"]
-        for name, values in table.columns.items():
-            if name != clock:
-                numbers = np.asarray(values, dtype=float)
-                unit, means = table.units.get(name, ""), table.means.get(name, "")
-                yield Channel(name=name, t=t, values=numbers, unit=unit, means=means)
+def _of_all(digests: list[str]) -> str:
+    return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+def _channels(table: Table, time: Column | None, where: str) -> Iterable[Channel]:
+    t, clock = table.t, ""
+    if t is None:
+        clock = _clock(table, time, where)
+        column = Column(clock) if time is None or time.name != clock else time
+        column = replace(column, unit=column.unit or table.units.get(clock, ""))
+        t = column.in_si("t", table.columns[clock], where)
+    for name, values in table.columns.items():
+        if name != clock:
+            numbers = np.asarray(values, dtype=float)
+            unit, means = table.units.get(name, ""), table.means.get(name, "")
+            yield Channel(name=name, t=t, values=numbers, unit=unit, means=means)
 
 
 def _clock(table: Table, time: Column | None, where: str) -> str:
@@ -353,7 +334,7 @@ _READERS: dict[str, Callable[[Path, tuple[str, ...], list[str]], list[Table]]] =
     ".parquet": tables.read_parquet,
     ".mat": tables.read_mat,
     ".csv": tables.read_csv,
-    ".csv.gz": tables.read_csv_gz,
+    ".csv.gz": tables.read_csv,
     ".db3": ros.read_ros,
     ".bag": ros.read_ros,
     ".mf4": tables.read_mf4,

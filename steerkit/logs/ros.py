@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import operator
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,16 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit._support.files import Bounded
-from steerkit.logs.can_frames import Frames, Log, decoded
+from steerkit.logs.can_frames import Decoder
 from steerkit.logs.channels import Table
 
 
-def intact(file: Path, heavy: tuple[str, ...], notes: list[str]) -> Iterator[tuple[str, str, float, Any]]:
+def intact(file: Path, notes: list[str]) -> Iterator[tuple[str, str, float, Any]]:
     """(topic, kind, when it was received [s], message) up to where the file breaks off; chunks whose check sum is wrong
     are left out. A note says so.
 
-    The index at the file's end is not needed; where it is there, it names topics whose description is lost. heavy:
-    kinds that are passed over. Needs mcap and rosbags.
+    The index at the file's end is not needed; where it is there, it names topics whose description is lost. Needs
+    mcap and rosbags.
     """
     from mcap.records import Channel, Message, Schema
     from rosbags.typesys import Stores, get_typestore
@@ -36,19 +36,19 @@ def intact(file: Path, heavy: tuple[str, ...], notes: list[str]) -> Iterator[tup
                 topics[record.id] = record.topic, kinds[record.schema_id]
         except Exception:  # of rosbags, for a text that describes no message
             continue
-    count, trouble = 0, dict[str, int]()
+    count, trouble = 0, Counter[str]()
     for record in _records(file):
         if isinstance(record, str):
-            trouble[record] = trouble.get(record, 0) + 1
+            trouble[record] += 1
         elif isinstance(record, Message) and record.channel_id in topics:
             topic, name = topics[record.channel_id]
             kind = name.rpartition("/")[2]
-            if kind in heavy:
+            if kind in _HEAVY:
                 continue
             try:
                 message = store.deserialize_cdr(record.data, name)
             except Exception:  # bytes that are not what their kind says
-                trouble["a message that cannot be read"] = trouble.get("a message that cannot be read", 0) + 1
+                trouble["a message that cannot be read"] += 1
                 continue
             count += 1
             yield topic, kind, 1e-9 * record.log_time, message
@@ -143,15 +143,58 @@ _NEAR = 3600.0
 """A stamp further than this from when the message was recorded is of another clock [s]."""
 
 
-@dataclass
-class _Topic:
-    """What was collected of one topic."""
+class _Bag:
+    """What is collected of a bag: the numbers of each topic, and CAN frames."""
 
-    kind: str
-    getters: dict[str, Callable[[Any], Any]]
-    received: array[float] = field(default_factory=lambda: array("d"))
-    stamped: array[float] = field(default_factory=lambda: array("d"))
-    numbers: dict[str, array[float]] = field(default_factory=dict)
+    def __init__(self, dbc: tuple[str, ...]):
+        self.frames, self.kinds = Decoder(dbc), dict[str, str]()
+        self._numbers: dict[str, dict[str, Callable[[Any], Any]]] = {}
+        """By topic, where in its messages numbers stand, and how to get them."""
+        self._rows: dict[str, array[float]] = {}
+        """When it was received [s], its stamp [s], its numbers; of the next message ..."""
+
+    def add(self, topic: str, kind: str, t: float, message: Any) -> None:
+        """One more message, that was received at t [s]."""
+        stamp = _stamp(message)
+        if kind == "Frame":
+            if not (message.is_error or message.is_rtr):
+                near = stamp if abs(stamp - t) < _NEAR else t
+                data = bytes(message.data[: message.dlc])
+                self.frames.add(near, int(message.id), bool(message.is_extended), data)
+            return
+        if topic not in self.kinds:
+            self.kinds[topic], self._rows[topic] = kind, array("d")
+            self._numbers[topic] = {path: attrgetter(path) for path in _numbers(message)}
+        self._rows[topic].extend((t, stamp, *(float(number(message)) for number in self._numbers[topic].values())))
+
+    def tables(self, path: Path, notes: list[str], *, decode: bool) -> list[Table]:
+        """The numbers of all topics, and of the frames if they are to be decoded, or are all that there is."""
+        tables = [self._table(name, notes) for name in sorted(self.kinds) if self._numbers[name]]
+        if self.frames.seen and (decode or not tables):
+            tables += self.frames.tables(path, notes)
+        elif self.frames.seen:
+            count = sum(self.frames.seen.values())
+            notes.append(f"{count} CAN frames are not read: say what is in them, --dbc")
+        require(tables, str(path), f"no messages with numbers in it{'; ' + notes[-1] if notes else ''}")
+        return tables
+
+    def _table(self, name: str, notes: list[str]) -> Table:
+        received, stamped, *numbers = np.frombuffer(self._rows[name]).reshape(-1, 2 + len(self._numbers[name])).T.copy()
+        trusted = bool(np.isfinite(stamped).all()) and float(np.abs(stamped - received).max()) < _NEAR
+        if not trusted and np.isfinite(stamped).all():
+            notes.append(f"{name}: its stamps are of another clock: taken as they were received")
+        columns = dict(zip(self._numbers[name], numbers))
+        for path in [path for path in columns if path.endswith("orientation.w")]:
+            base = path.removesuffix("w")
+            x, y, z, w = (columns[f"{base}{axis}"] for axis in "xyzw")
+            columns[f"{base}yaw"] = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        known = {path: told for path, told in KNOWN.get(self.kinds[name], {}).items() if path in columns}
+        return Table(
+            columns={f"{name}.{path}": values for path, values in columns.items()},
+            units={f"{name}.{path}": unit for path, (_, unit) in known.items()},
+            means={f"{name}.{path}": quantity for path, (quantity, _) in known.items() if quantity},
+            t=stamped if trusted else received,
+        )
 
 
 def read_ros(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
@@ -165,30 +208,22 @@ def read_ros(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
         raise ValueError(f"{path}: ROS bags need rosbags: pip install 'steerkit-control[logs]'") from None
     for file in [path] if path.is_file() else sorted(path.glob("*.db3")):
         _check_size(file)
-    topics: dict[str, _Topic] = {}
-    frames: Log = {}
+    bag = _Bag(dbc)
     try:
         with AnyReader([path], default_typestore=typestore()) as reader:
-            for topic, kind, t, message in _messages(reader, notes):
-                _take(topics, frames, topic, kind, t, message)
+            for message in _messages(reader, notes):
+                bag.add(*message)
     except Exception as error:  # rosbags' errors have no common base, and what it is built on has others
         parts = [path] if path.is_file() else sorted(path.glob("*.mcap"))
         if all(part.suffix.lower() == ".mcap" for part in parts):
-            topics.clear()
-            frames.clear()
-            for part in parts:
-                for topic, kind, t, message in intact(part, _HEAVY, notes):
-                    _take(topics, frames, topic, kind, t, message)
+            bag = _Bag(dbc)
+            for message in (message for part in parts for message in intact(part, notes)):
+                bag.add(*message)
         else:
             notes.append(f"cut off or broken: what comes before is used ({type(error).__name__}: {str(error)[:80]})")
-        require(topics or frames, str(path), f"no ROS bag, or a broken one ({type(error).__name__}: {error})")
-    tables = [_table(name, topic, notes) for name, topic in sorted(topics.items()) if topic.numbers]
-    if frames and (dbc or not tables):
-        tables += decoded(frames, path, dbc, notes)
-    elif frames:
-        notes.append(f"{sum(len(f.t) for f in frames.values())} CAN frames are not read: say what is in them, --dbc")
-    require(tables, str(path), f"no messages with numbers in it{'; ' + notes[-1] if notes else ''}")
-    return tables
+        found = bag.kinds or bag.frames.seen
+        require(found, str(path), f"no ROS bag, or a broken one ({type(error).__name__}: {error})")
+    return bag.tables(path, notes, decode=bool(dbc))
 
 
 def _check_size(file: Path) -> None:
@@ -239,24 +274,6 @@ def _messages(reader: Any, notes: list[str]) -> Iterator[tuple[str, str, float, 
         notes.append(f"{count} of {told} messages are there")
 
 
-def _take(topics: dict[str, _Topic], frames: Log, topic: str, kind: str, t: float, message: Any) -> None:
-    if kind == "Frame":
-        _add_frame(frames, t, message)
-    else:
-        _add(topics, topic, kind, t, message)
-
-
-def _add(topics: dict[str, _Topic], name: str, kind: str, t: float, message: Any) -> None:
-    if name not in topics:
-        getters: dict[str, Callable[[Any], Any]] = {path: operator.attrgetter(path) for path in _numbers(message)}
-        topics[name] = _Topic(kind, getters, numbers={path: array("d") for path in getters})
-    topic = topics[name]
-    topic.received.append(t)
-    topic.stamped.append(_stamp(message))
-    for path, getter in topic.getters.items():
-        topic.numbers[path].append(float(getter(message)))
-
-
 def _numbers(message: Any, before: str = "") -> Iterator[str]:
     """Where numbers stand in a message: `pose.pose.position.x`; arrays and stamps are left out."""
     for name in message.__dataclass_fields__:
@@ -271,30 +288,3 @@ def _numbers(message: Any, before: str = "") -> Iterator[str]:
 def _stamp(message: Any) -> float:
     stamp = getattr(getattr(message, "header", message), "stamp", None)
     return float("nan") if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
-
-
-def _table(name: str, topic: _Topic, notes: list[str]) -> Table:
-    received, stamped = np.array(topic.received), np.array(topic.stamped)
-    trusted = bool(np.isfinite(stamped).all()) and float(np.abs(stamped - received).max()) < _NEAR
-    if not trusted and np.isfinite(stamped).all():
-        notes.append(f"{name}: its stamps are of another clock: taken as they were received")
-    columns = {path: np.array(values) for path, values in topic.numbers.items()}
-    for path in [path for path in columns if path.endswith("orientation.w")]:
-        base = path.removesuffix("w")
-        x, y, z, w = (columns[f"{base}{axis}"] for axis in "xyzw")
-        columns[f"{base.removesuffix('.')}.yaw"] = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    known = {path: told for path, told in KNOWN.get(topic.kind, {}).items() if path in columns}
-    return Table(
-        columns={f"{name}.{path}": values for path, values in columns.items()},
-        units={f"{name}.{path}": unit for path, (_, unit) in known.items()},
-        means={f"{name}.{path}": quantity for path, (quantity, _) in known.items() if quantity},
-        t=stamped if trusted else received,
-    )
-
-
-def _add_frame(frames: Log, t: float, message: Any) -> None:
-    if message.is_error or message.is_rtr:
-        return
-    known = frames.setdefault((int(message.id), bool(message.is_extended)), Frames())
-    stamp = _stamp(message)
-    known.add(stamp if abs(stamp - t) < _NEAR else t, bytes(message.data[: message.dlc]))

@@ -8,9 +8,9 @@ import io
 import re
 import sys
 import zlib
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
-from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -27,43 +27,31 @@ from steerkit.logs.channels import Table
 
 Columns = dict[str, np.ndarray]
 
-ROWS = 4096
-"""Rows of text that are turned into numbers at a time: text takes many times the memory of its numbers."""
 _UNIT = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 
 
 def read_csv(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
-    """Rows of numbers under a row of names such as `v` or `v [m/s]`; `,`, `;` or tab between, `#` before comments."""
-    with path.open("rb") as stream:
-        return [_table(path, _lines(stream), notes)]
+    """Rows of numbers under a row of names such as `v` or `v [m/s]`; `,`, `;` or tab between, `#` before comments.
+
+    Compressed or not; of a file that is cut off, what comes before.
+    """
+    opener: Any = gzip.open if path.suffix.lower() == ".gz" else open
+    with opener(path, "rb") as stream:
+        return [_table(path, _ended(_lines(stream, notes), notes), notes)]
 
 
-def read_csv_gz(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
-    """The same, compressed; of a file that is cut off, what comes before."""
-    with gzip.open(path) as stream:
-        return [_table(path, _lines(stream, path, notes), notes)]
-
-
-def _lines(stream: Any, path: Path | None = None, notes: list[str] | None = None) -> Iterator[str]:
-    """Lines that hold something. UTF-8, or else as Windows writes it."""
-    begun = False
+def _lines(stream: IO[bytes], notes: list[str]) -> Iterator[str]:
+    """Lines that hold something, ended by any of the usual signs. UTF-8, or else as Windows writes it."""
     try:
-        for raw in _pieces(stream):
-            line = _text(raw.removeprefix(b"\xef\xbb\xbf") if not begun else raw)
-            begun = True
-            if line.strip() and not line.lstrip().startswith("#"):
-                yield line
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        kind = "not a gzip file" if isinstance(error, gzip.BadGzipFile) and not begun else "a broken gzip file"
-        require(begun and notes is not None, str(path), f"{kind} ({error})")
-        assert notes is not None
+        for k, raw in enumerate(stream):
+            for part in raw.removeprefix(b"\xef\xbb\xbf" if k == 0 else b"").splitlines(keepends=True):
+                line = _text(part)
+                if line.strip() and not line.lstrip().startswith("#"):
+                    yield line
+    except gzip.BadGzipFile as error:
+        raise ValueError(f"{stream.name}: not a gzip file, or a broken one ({error})") from error
+    except (EOFError, zlib.error):
         notes.append("the compressed file is cut off or broken: what comes before is used")
-
-
-def _pieces(stream: IO[bytes]) -> Iterator[bytes]:
-    """Lines, as bytes, ended by any of the usual signs."""
-    for raw in stream:
-        yield from re.split(rb"\r\n|\r|\n", raw.rstrip(b"\r\n")) if b"\r" in raw.rstrip(b"\r\n") else (raw,)
 
 
 def _text(raw: bytes) -> str:
@@ -75,64 +63,46 @@ def _text(raw: bytes) -> str:
 
 def _ended(lines: Iterator[str], notes: list[str]) -> Iterator[str]:
     """Without the last line, if nothing ends it: its last number may be cut short."""
-    before = None
     for line in lines:
-        if before is not None:
-            yield before
-        before = line
-    if before is not None and before.endswith(("\n", "\r")):
-        yield before
-    elif before is not None:
-        notes.append("left out the last line, which no line end closes: it may be cut off")
+        if line.endswith(("\n", "\r")):
+            yield line
+        else:
+            notes.append("left out the last line, which no line end closes: it may be cut off")
 
 
 def _table(path: Path, lines: Iterator[str], notes: list[str]) -> Table:
-    lines = _ended(lines, notes)
-    first = list(islice(lines, 2))
-    require(len(first) == 2, str(path), "no rows under a row of names")
-    head = first[0].rstrip("\r\n")
+    head = next(lines, "").rstrip("\r\n")
     mark = max(";\t,", key=lambda c: (head.count(c), c == ";"))
-    names = [name.strip() for name in next(csv.reader([head], delimiter=mark))]
-    require(
-        not all(np.isfinite(_number(name, comma=False)) for name in names),
-        str(path),
-        f"the first row holds numbers ({head[:60]}), no names",
-    )
+    names = [name.strip() for name in _cells(head, mark)]
+    numbers = head and np.isfinite([_number(name) for name in names]).all()
+    require(not numbers, str(path), f"the first row holds numbers ({head[:60]}), no names")
     require(len(set(names)) == len(names), str(path), f"two columns of one name: {', '.join(names)}")
-    blocks, odd, last, comma = list[np.ndarray](), 0, False, None
-    pending = first[1:]
-    while chunk := pending + list(islice(lines, ROWS)):
-        pending = []
-        rows = [_cells(line, mark) for line in chunk]
-        whole = [row for row in rows if len(row) == len(names)]
-        odd, last = odd + len(rows) - len(whole), len(rows[-1]) != len(names)
-        if comma is None and whole:
-            comma = mark == ";" and any("," in cell for row in whole[:100] for cell in row)
-        if whole:
-            blocks.append(np.array([[_number(cell, bool(comma)) for cell in row] for row in whole], dtype=float))
+    values, odd, last = array("d"), 0, False  # as text all of it would take many times the memory
+    for line in lines:
+        cells = _cells(line.replace(",", ".") if mark == ";" else line, mark)
+        last = len(cells) != len(names)
+        odd += last
+        if not last:
+            values.extend(map(_number, cells))
     if odd:
         where = "the last one: the file is cut off" if last else "in the middle of the file"
         notes.append(f"dropped {odd} rows without {len(names)} entries, among them {where}")
-    count = sum(map(len, blocks))
-    require(count >= 2, str(path), f"no rows with {len(names)} entries, as the row of names has")
-    columns = {name: np.concatenate([block[:, k] for block in blocks]) for k, name in enumerate(names)}
-    return with_units(columns)
+    columns = np.frombuffer(values).reshape(-1, len(names)).T
+    require(columns.shape[1] >= 2, str(path), f"no rows under a row of names, or not of {len(names)} entries as it has")
+    return with_units({name: column.copy() for name, column in zip(names, columns)})
 
 
 def _cells(line: str, mark: str) -> list[str]:
     """One line at a time, so that a stray quote spoils no other line."""
-    line = line.rstrip("\r\n")
-    if '"' not in line:
-        return line.split(mark)
     try:
-        return next(csv.reader([line], delimiter=mark))
+        return next(csv.reader([line.rstrip("\r\n")], delimiter=mark), [])
     except csv.Error:
         return []
 
 
-def _number(text: str, comma: bool) -> float:
+def _number(text: str) -> float:
     try:
-        return float(text.replace(",", ".") if comma else text)
+        return float(text)
     except ValueError:
         return float("nan")
 

@@ -6,6 +6,7 @@ import csv
 import math
 import re
 from array import array
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,7 +153,7 @@ def check_gps(lat: Array, lon: Array, where: str) -> None:
         raise ValueError(f"{where}: lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
 
 
-def east_north(lat_deg: Array, lon_deg: Array, origin_deg: tuple[float, float]) -> Array:
+def east_north(lat_deg: NDArray[Any], lon_deg: NDArray[Any], origin_deg: tuple[float, float]) -> Array:
     """WGS84 positions (n,) [degrees] in metres east and north of an origin (n, 2), in its tangent plane (ENU)."""
     import pymap3d
 

@@ -4,9 +4,23 @@ from __future__ import annotations
 
 import json
 import struct
+from base64 import b64decode
+from types import SimpleNamespace
 from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
+
+
+def message_of(schema: Any, data: bytes) -> dict[str, Any]:
+    """A message by its schema (name, encoding, data): in JSON, or of Foxglove's own kinds."""
+    if schema.encoding == "jsonschema":
+        return dict(json.loads(data))
+    from google.protobuf import descriptor_pb2, json_format, message_factory
+
+    kinds = message_factory.GetMessages(descriptor_pb2.FileDescriptorSet.FromString(schema.data).file)
+    shown = json_format.MessageToDict(kinds[schema.name].FromString(data), always_print_fields_with_no_presence=True)
+    return dict(shown)
+
 
 PROTOCOL = "foxglove.sdk.v1"
 
@@ -50,6 +64,10 @@ class Client:
                 pass
         except TimeoutError:
             return None
-        kind, channel, when = struct.unpack_from("<BIQ", data)
-        assert kind == 1
-        return self.channels[channel]["topic"], when, json.loads(data[13:])
+        operation, channel, when = struct.unpack_from("<BIQ", data)
+        assert operation == 1
+        kind = self.channels[channel]
+        schema = SimpleNamespace(name=kind["schemaName"], encoding=kind["schemaEncoding"], data=kind["schema"])
+        if schema.encoding == "protobuf":
+            schema.data = b64decode(schema.data)
+        return kind["topic"], when, message_of(schema, data[13:])

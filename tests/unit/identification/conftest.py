@@ -28,4 +28,4 @@ def clean() -> dict[str, Any]:
 @pytest.fixture(scope="session")
 def found(clean: dict[str, Any]) -> Identified:
     with optimised():
-        return identify(Drive.of(**noisy(clean, 0), name="lap"), BASE, name="my-car")
+        return identify(Drive.of(noisy(clean, 0), name="lap"), BASE, name="my-car")

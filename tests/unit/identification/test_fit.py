@@ -16,7 +16,7 @@ from tests.support.recorded_cars import BASE, DT, TRUTH, by_rate, driven, noisy
 
 
 def test_a_clean_log_gives_the_car_back(clean: dict[str, Any]) -> None:
-    exact = identify(Drive.of(**by_rate(clean)), BASE, fixed={"rate_zero": 0.0})
+    exact = identify(Drive.of(by_rate(clean)), BASE, fixed={"rate_zero": 0.0})
     for name, value in TRUTH.items():
         assert exact[name].value == pytest.approx(value, rel=0.03, abs=0.003), name
     assert exact.fit.rms < 2e-4  # dt is 0.02 there and 0.01 here
@@ -28,7 +28,7 @@ def test_intervals_cover_the_truth(clean: dict[str, Any]) -> None:
     inside = dict.fromkeys(names, 0)
     widths = {name: [] for name in names}
     for seed in range(12):
-        answer = identify(Drive.of(**by_rate(noisy(clean, seed))), BASE)
+        answer = identify(Drive.of(by_rate(noisy(clean, seed))), BASE)
         for name in names:
             e = answer[name]
             inside[name] += e.low <= TRUTH[name] <= e.high
@@ -41,7 +41,7 @@ def test_intervals_cover_the_truth(clean: dict[str, Any]) -> None:
 
 def test_white_intervals_are_those_of_the_textbook(clean: dict[str, Any]) -> None:
     """With white noise the sandwich is sigma^2 (J'J)^-1: both from the same Jacobian, 25 % apart at most."""
-    drive = Drive.of(**by_rate(noisy(clean, 3, slow=0.0)))
+    drive = Drive.of(by_rate(noisy(clean, 3, slow=0.0)))
     answer = identify(drive, BASE)
     problem = _Problem(Simulator(drive, BASE), priors(BASE))
     error, slopes = problem.linearised(np.array([answer.theta[n] for n in answer.free]))
@@ -52,7 +52,7 @@ def test_white_intervals_are_those_of_the_textbook(clean: dict[str, Any]) -> Non
 
 def test_slow_driving_determines_the_ratio_but_not_the_tyres() -> None:
     slow = driven(seconds=60.0, v_low=3.5, v_high=5.0)
-    answer = identify(Drive.of(**by_rate(noisy(slow, 1))), BASE)
+    answer = identify(Drive.of(by_rate(noisy(slow, 1))), BASE)
     assert answer["ratio_wheelbase"].source == "log"
     assert {answer[n].source for n in ("c_f", "c_r")} == {"prior"}
     assert any("c_f" in note and "hardly determined" in note for note in answer.notes)
@@ -63,14 +63,14 @@ def test_slow_driving_determines_the_ratio_but_not_the_tyres() -> None:
 def test_the_wheelbase_only_scales_the_ratio(clean: dict[str, Any]) -> None:
     """What the log determines, ratio times wheelbase, hardly depends on the wheelbase that is given."""
     longer = replace(BASE, l_f=1.1 * BASE.l_f, l_r=1.1 * BASE.l_r, i_z=1.21 * BASE.i_z)
-    drive = Drive.of(**noisy(clean, 0))
+    drive = Drive.of(noisy(clean, 0))
     one, two = identify(drive, BASE), identify(drive, longer)
     assert two["ratio_wheelbase"].value == pytest.approx(one["ratio_wheelbase"].value, rel=0.01)
     assert two["steer_ratio"].value == pytest.approx(one["steer_ratio"].value / 1.1, rel=0.01)
 
 
 def test_fixed_and_known(clean: dict[str, Any]) -> None:
-    drive = Drive.of(**noisy(clean, 0))
+    drive = Drive.of(noisy(clean, 0))
     answer = identify(drive, BASE, fixed={"lag": 0.09}, known={"steer_ratio": (14.0, 0.1)})
     assert answer["lag"].source == "given"
     assert answer["lag"].low == answer["lag"].high == 0.09

@@ -19,7 +19,7 @@ from tests.support.recorded_cars import BASE, driven
 
 
 def test_held_out_drive(found: Identified) -> None:
-    other = Drive.of(**driven(seconds=40.0, v_low=6.0, v_high=15.0))
+    other = Drive.of(driven(seconds=40.0, v_low=6.0, v_high=15.0))
     seen = found.predict(other)
     assert seen.rms < 0.002
     shifted = found.predict(replace(other, delta_sw=other.delta_sw + 0.05))

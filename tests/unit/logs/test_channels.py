@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.logs import Channel, ColumnMap
+from steerkit.logs import Channel, Column, ColumnMap
 from steerkit.logs.channels import candidates, ended_unit, is_time, unit_of, words
 
 
@@ -122,6 +122,5 @@ def test_column_words() -> None:
     ],
 )
 def test_units_are_what_their_definitions_say(quantity: str, unit: str, si: float) -> None:
-    column = ColumnMap.of({quantity: {"column": "c", "unit": unit, "scale": -2.0, "offset": 0.5}})
-    values = column.in_si({"c": np.array([0.0, 3.0])}, where="test")[quantity]
+    values = Column("c", unit, scale=-2.0, offset=0.5).in_si(quantity, np.array([0.0, 3.0]), "test")
     np.testing.assert_allclose(values, [0.5, 0.5 - 6.0 * si], rtol=1e-14)  # the offset is in SI

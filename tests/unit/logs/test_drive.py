@@ -22,7 +22,7 @@ def test_repairs_are_stated_and_harmless(clean: dict[str, Any], found: Identifie
     order[1000:1050] = rng.permutation(order[1000:1050])
     broken = {key: value[rows[order]].copy() for key, value in noisy(clean, 0).items()}
     broken["v"][500] = np.nan
-    drive = Drive.of(**broken)
+    drive = Drive.of(broken)
     said = "\n".join(drive.notes)
     for words in ("dropped 1 of", "sorted by time", "repeat the time", "1 gaps, 3.0 s in all"):
         assert words in said
@@ -33,17 +33,17 @@ def test_repairs_are_stated_and_harmless(clean: dict[str, Any], found: Identifie
 
 
 def test_the_headings_zero_repairs_the_gyros(clean: dict[str, Any]) -> None:
-    drive = Drive.of(**(clean | {"r": clean["r"] + 0.01}))
+    drive = Drive.of(clean | {"r": clean["r"] + 0.01})
     assert "yaw rate: -0.01" in drive.notes[0]
     assert drive.calibrated
-    without = identify(Drive.of(**by_rate(clean | {"r": clean["r"] + 0.004})), BASE)
+    without = identify(Drive.of(by_rate(clean | {"r": clean["r"] + 0.004})), BASE)
     assert without["rate_zero"].low < 0.004 < without["rate_zero"].high
 
 
 def test_yaw_rate_from_the_heading_alone(clean: dict[str, Any]) -> None:
     heading = {key: value for key, value in clean.items() if key != "r"}
     heading["psi"] = (heading["psi"] + np.pi) % (2.0 * np.pi) - np.pi
-    drive = Drive.of(**heading)
+    drive = Drive.of(heading)
     inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
     np.testing.assert_allclose(drive.r[inner], clean["r"][: len(drive.r)][inner], atol=0.01)
 
@@ -65,31 +65,31 @@ def test_yaw_rate_from_the_heading_alone(clean: dict[str, Any]) -> None:
 def test_confused_units_teach(change: dict[str, float], says: str, clean: dict[str, Any]) -> None:
     confused = by_rate(clean) | {key: factor * clean[key] for key, factor in change.items()}
     with pytest.raises(ValueError, match=says):
-        Drive.of(**confused)
+        Drive.of(confused)
 
 
 def test_a_heading_that_contradicts_the_yaw_rate_teaches(clean: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"has the other sign .* compass turns clockwise"):
-        Drive.of(**(clean | {"psi": -clean["psi"]}))
+        Drive.of(clean | {"psi": -clean["psi"]})
     with pytest.raises(ValueError, match="psi jumps by 360"):
-        Drive.of(**(clean | {"psi": degrees_of(clean["psi"]) % 360.0}))
+        Drive.of(clean | {"psi": degrees_of(clean["psi"]) % 360.0})
 
 
 def test_columns_that_do_not_belong_together_teach(clean: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"go together by .* wrong columns or clocks"):
-        Drive.of(**(by_rate(clean) | {"delta_sw": np.roll(clean["delta_sw"], 700)}))
+        Drive.of(by_rate(clean) | {"delta_sw": np.roll(clean["delta_sw"], 700)})
     with pytest.raises(ValueError, match="different lengths: t 4500, delta_sw 4499"):
-        Drive.of(**(by_rate(clean) | {"delta_sw": clean["delta_sw"][1:]}))
+        Drive.of(by_rate(clean) | {"delta_sw": clean["delta_sw"][1:]})
     two = {key: np.concatenate((value, value)) for key, value in by_rate(clean).items()}
     two["v"] = np.concatenate((clean["v"], clean["v"][::-1]))
     two["t"] = np.concatenate((clean["t"], clean["t"] + 0.01))
     with pytest.raises(ValueError, match=r"time runs back at row 4500 .* one after the other"):
-        Drive.of(**two)
+        Drive.of(two)
 
 
 def test_trusted_units_are_not_judged(clean: dict[str, Any]) -> None:
     turned = by_rate(clean) | {"delta_sw": -clean["delta_sw"]}
-    assert len(Drive.of(**turned, trusted=True).v) == len(Drive.of(**by_rate(clean)).v)
+    assert len(Drive.of(turned, trusted=True).v) == len(Drive.of(by_rate(clean)).v)
 
 
 def circling(**changes: Any) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def test_a_heading_that_passes_180_degrees_goes_on() -> None:
     wrapped = (whole["psi"] + np.pi) % (2.0 * np.pi) - np.pi
     assert (np.abs(np.diff(wrapped)) > 6.0).sum() >= 4
     for columns in (circling(psi=wrapped), circling(psi=wrapped, r=None)):
-        drive = Drive.of(**columns)
+        drive = Drive.of(columns)
         inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
         np.testing.assert_allclose(drive.r[inner], whole["r"][: len(drive.r)][inner], atol=2e-3)
 
@@ -113,7 +113,7 @@ def test_a_heading_that_passes_180_degrees_goes_on() -> None:
 @pytest.mark.parametrize("zero", [0.01, -0.02])
 def test_a_gyros_zero_is_taken_off(zero: float) -> None:
     whole = circling()
-    drive = Drive.of(**circling(r=whole["r"] + zero))
+    drive = Drive.of(circling(r=whole["r"] + zero))
     inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
     np.testing.assert_allclose(drive.r[inner], whole["r"][: len(drive.r)][inner], atol=1e-3)
 
@@ -122,7 +122,7 @@ def test_a_gyros_zero_is_taken_off(zero: float) -> None:
 def test_a_lone_value_that_no_car_reaches_is_left_out(key: str, jump: float, clean: dict[str, Any]) -> None:
     spoilt = {name: value.copy() for name, value in by_rate(clean).items()}
     spoilt[key][1234] += jump
-    drive, same = Drive.of(**spoilt), Drive.of(**by_rate(clean))
+    drive, same = Drive.of(spoilt), Drive.of(by_rate(clean))
     assert any(f"dropped 1 rows of a lone {key} that no car reaches" in note for note in drive.notes)
     np.testing.assert_allclose(getattr(drive, key), getattr(same, key), atol=0.02)
 
@@ -131,7 +131,7 @@ def test_a_lone_value_that_no_car_reaches_is_left_out(key: str, jump: float, cle
 def test_a_row_whose_time_was_spoilt_is_left_out_not_sorted(off: float, clean: dict[str, Any]) -> None:
     spoilt = by_rate(clean) | {"t": clean["t"].copy()}
     spoilt["t"][2222] += off
-    drive, same = Drive.of(**spoilt), Drive.of(**by_rate(clean))
+    drive, same = Drive.of(spoilt), Drive.of(by_rate(clean))
     assert any("dropped 1 rows whose time is far" in note for note in drive.notes)
     assert len(drive.v) == len(same.v)
     np.testing.assert_allclose(drive.delta_sw, same.delta_sw, atol=0.02)
@@ -139,7 +139,7 @@ def test_a_row_whose_time_was_spoilt_is_left_out_not_sorted(off: float, clean: d
 
 def test_where_the_car_was_comes_along(clean: dict[str, Any]) -> None:
     place = {"x": 3.0 * clean["t"], "y": np.where(clean["t"] < 50.0, -clean["t"], np.nan)}
-    drive = Drive.of(**clean, **place)
+    drive = Drive.of(clean | place)
     assert drive.x is not None
     assert drive.y is not None
     assert drive.psi is not None
@@ -147,11 +147,11 @@ def test_where_the_car_was_comes_along(clean: dict[str, Any]) -> None:
     assert np.isnan(drive.y[drive.t > 50.1]).all()
     np.testing.assert_allclose(drive.y[drive.t < 49.9], -drive.t[drive.t < 49.9], atol=1e-9)
     np.testing.assert_allclose(drive.psi, clean["psi"][: len(drive.psi)], atol=1e-9)
-    assert Drive.of(**by_rate(clean)).x is None
+    assert Drive.of(by_rate(clean)).x is None
 
 
 def test_a_drive_straight_on_is_one_but_nothing_is_identified_from_it(clean: dict[str, Any]) -> None:
-    straight = Drive.of(**(by_rate(clean) | {"r": 0.0 * clean["r"]}))
+    straight = Drive.of(by_rate(clean) | {"r": 0.0 * clean["r"]})
     assert "hardly turns" in straight.notes[-1]
     with pytest.raises(ValueError, match=r"hardly turns.*add bends"):
         identify(straight, BASE)

@@ -18,7 +18,7 @@ from tests.support.recorded_cars import by_rate, driven
 
 
 def test_every_kind_of_file_gives_the_same_drive(clean: dict[str, Any], tmp_path: Path) -> None:
-    drive = Drive.of(**by_rate(clean))
+    drive = Drive.of(by_rate(clean))
     csv = "t;wheel;speed_kmh;yaw\n" + "\n".join(
         f"{t:.3f};{degrees_of(-d):.6f};{3.6 * v:.6f};{r:.8f}".replace(".", ",")
         for t, d, v, r in zip(clean["t"], clean["delta_sw"], clean["v"], clean["r"])
@@ -70,7 +70,7 @@ def test_a_recording_of_the_real_cars_server(tmp_path: Path) -> None:
     whole = (tmp_path / "a.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: int(0.9 * len(whole))])
     drive, cut = (read_drive(tmp_path / name) for name in ("a.mcap", "cut.mcap"))
-    same = Drive.of(**columns)
+    same = Drive.of(columns)
     assert abs(len(drive.v) - len(same.v)) <= 1
     n = min(len(drive.v), len(same.v)) - 1
     np.testing.assert_allclose(drive.r[:n], same.r[:n], atol=2e-3)
@@ -84,7 +84,7 @@ def test_frames_that_were_spoilt_on_the_way_are_left_out(tmp_path: Path) -> None
     pytest.importorskip("mcap")
     columns = driven(seconds=40.0)
     recorded_frames(tmp_path / "a.mcap", columns, spoilt=40)
-    drive, same = read_drive(tmp_path / "a.mcap"), Drive.of(**columns)
+    drive, same = read_drive(tmp_path / "a.mcap"), Drive.of(columns)
     assert any("left out" in note and "broken" in note for note in drive.notes)
     n = min(len(drive.v), len(same.v)) - 1
     np.testing.assert_allclose(drive.delta_sw[:n], same.delta_sw[:n], atol=0.02)
@@ -142,7 +142,7 @@ def test_files_of_different_rates_on_one_clock_are_one_drive(clean: dict[str, An
         rows = [f"{a!r},{b!r}" for a, b in zip(clock[::every].tolist(), values[::every].tolist())]
         (tmp_path / f"{name}.csv").write_text("\n".join([head, *rows, ""]))
     files = [tmp_path / f"{name}.csv" for name in ("wheel", "speed", "gyro")]
-    drive, same = read_drive(files), Drive.of(**by_rate(clean))
+    drive, same = read_drive(files), Drive.of(by_rate(clean))
     assert "delta_sw = steering_wheel_deg [deg], v = speed [km/h], r = yaw_rate [rad/s]" in drive.notes[0]
     assert "one clock of 50 Hz for channels of delta_sw 50, v 12.5, r 25 Hz" in drive.notes
     n = len(drive.v)
@@ -160,7 +160,7 @@ def test_the_road_wheels_angle_is_said_to_be_one(clean: dict[str, Any], tmp_path
     }
     savemat(tmp_path / "a.mat", columns)
     drive = read_drive(tmp_path / "a.mat", steer_ratio=14.2)
-    np.testing.assert_allclose(drive.delta_sw, Drive.of(**by_rate(clean)).delta_sw, atol=1e-12)
+    np.testing.assert_allclose(drive.delta_sw, Drive.of(by_rate(clean)).delta_sw, atol=1e-12)
     assert any("delta_sw = 14.2 * the road wheels' angle" in note for note in drive.notes)
     assert any("15 * the road wheels' angle" in note for note in read_drive(tmp_path / "a.mat").notes)
 
@@ -179,7 +179,7 @@ def test_the_time_is_the_column_that_is_named(clean: dict[str, Any], tmp_path: P
     text = ["stamp,delta_sw,v,r", *(",".join(map(repr, row)) for row in rows)]
     (tmp_path / "a.csv").write_text("\n".join([*text, ""]))
     drive = read_drive(tmp_path / "a.csv", {"t": {"column": "stamp", "unit": "ms"}})
-    np.testing.assert_allclose(drive.delta_sw, Drive.of(**by_rate(clean)).delta_sw, atol=1e-9)
+    np.testing.assert_allclose(drive.delta_sw, Drive.of(by_rate(clean)).delta_sw, atol=1e-9)
 
 
 def motion(t: np.ndarray) -> np.ndarray:

@@ -59,10 +59,10 @@ def test_one_log_in_every_format_is_one_drive(tmp_path: Path) -> None:
 def test_a_long_mf4_is_read_piece_by_piece_to_the_last_bit(tmp_path: Path) -> None:
     columns = driven(500.0)
     file, _ = written("mf4", tmp_path, columns)
-    (table,) = read_log(file).sources[0].tables
+    channels = read_log(file).channels
     for name in ("delta_sw", "v", "r"):
-        np.testing.assert_array_equal(table.columns[name], columns[name])
-    np.testing.assert_array_equal(table.t, columns["t"])
+        np.testing.assert_array_equal(channels[name].values, columns[name])
+        np.testing.assert_array_equal(channels[name].t, columns["t"])
 
 
 def memory(name: str, seconds: float) -> float:

@@ -26,14 +26,14 @@ def drive(*, seconds: float = 40.0, dt: float = 0.05, wrong: float = 0.0) -> Dri
     kappa = r / v
     wheel = CAR.steer_ratio * kappa * (CAR.wheelbase + CAR.understeer_gradient * v**2)
     wheel = wheel + wrong * ((t > 20.0) & (t < 22.0))
-    return Drive.of(t=t, delta_sw=wheel, v=v, r=r, name="s", dt=dt, trusted=True)
+    return Drive.of(dict(t=t, delta_sw=wheel, v=v, r=r), name="s", dt=dt, trusted=True)
 
 
 def test_the_way_is_the_integral_of_speed_and_yaw_rate() -> None:
     t = np.arange(0.0, 60.0, 0.02)
     v, r = np.full_like(t, 6.0), np.full_like(t, 0.1)
     wheel = np.full_like(t, 0.5)
-    circle = Drive.of(t=t, delta_sw=wheel, v=v, r=r, name="c", trusted=True)
+    circle = Drive.of(dict(t=t, delta_sw=wheel, v=v, r=r), name="c", trusted=True)
     path = way(circle, ahead=0.0)
     xy = path.point(np.linspace(12.0, 300.0, 50))
     assert np.abs(np.hypot(xy[:, 0], xy[:, 1] - 60.0) - 60.0).max() < 0.01
