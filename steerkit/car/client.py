@@ -55,7 +55,7 @@ class CarClient:
     """
 
     def __init__(
-        self, socket_path: str, *, controller: bool = True, timeout: float = 1.0, course: bytes = protocol.NO_COURSE
+        self, socket_path: str, *, controller: bool = True, timeout: float = 1.0, course: str = protocol.NO_COURSE
     ):
         self.path, self.last, self.misses = socket_path, None, 0
         self.refused: list[str] = []

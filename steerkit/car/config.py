@@ -5,19 +5,21 @@ It imports nothing of the learner, so that a car server starts soon and depends 
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import math
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import Field, asdict, dataclass, field, fields
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path as File
 from typing import Any
 
+from steerkit._support.errors import in_one_line, known
+from steerkit._support.files import read_text
 from steerkit._support.plugins import is_outside
 from steerkit.car.frames import MAX_JUMP, CommandWriter, FrameReader, Mapping, signal_range
 from steerkit.car.gate import GateLimits
@@ -27,11 +29,14 @@ from steerkit.car.state_machine import StateLimits
 from steerkit.diagram.units import FACTORS, degrees_of, radians_of
 from steerkit.paths.courses import course
 from steerkit.paths.path import Path
-from steerkit.task import STOP_DEG
 from steerkit.vehicles import Vehicle, vehicle
+from steerkit.vehicles.file import text_of, vehicle_of
 
 FORMAT = "steerkit car 1"
-TABLES = ("format", "bus", "files", "course", "vehicle", "kit", "read", "protect", "write", "server", "limits")
+TABLES = (
+    *("format", "bus", "files", "course", "vehicle", "kit", "read", "protect", "write", "server", "limits"),
+    "controllers",
+)
 REPORT = ("delta_sw", "v_kit", "torque", "echo", "enabled", "override", "timeout", "brake", "accelerator")
 POSE = ("x", "y", "lat", "lon", "psi", "v", "r", "beta", "a_y", "quality", "stamp")
 NEEDED = ("delta_sw", "v_kit", "torque", "enabled", "override", "psi", "v", "r")
@@ -46,13 +51,19 @@ _OF_UNIT = {
 }
 DIMENSION = {name: unit for unit, names in _OF_UNIT.items() for name in names.split()}
 """Quantity to SI unit; the others are flags and pure numbers."""
-ANGLES = {
-    *("delta_sw_max", "rate_max", "follow_angle", "psi_e_engage", "psi_e_max", "delta_engage"),
-    *("motion_across", "heading_slack", "heading_rate", "wheel_slack", "wheel_rate"),
+
+
+def _is_angle(limit: Field[Any]) -> bool:
+    return bool(limit.metadata["number"][0].startswith("rad"))
+
+
+LIMITS = {
+    f"{f.name}_deg" if _is_angle(f) else f.name: f
+    for kind in (GateLimits, StateLimits, MotionLimits)
+    for f in fields(kind)
+    if "number" in f.metadata  # the others follow from the car and the DBC
 }
-"""Limits that the file gives in degrees, as `..._deg`."""
-DERIVED = {"steer_ratio", "wheelbase", "arm", "quantum"}
-"""Fields of the gate's limits that follow from the car and the DBC."""
+"""Keys of `[limits]`, and the fields that they set; the file gives angles in degrees."""
 
 
 class ConfigError(ValueError):
@@ -72,12 +83,6 @@ class CarConfig:
     vehicle: Vehicle
     readers: tuple[FrameReader, ...]
     """The frames that are read."""
-    report_frames: frozenset[int]
-    """Ids of the frames that make the kit's report."""
-    pose_frames: frozenset[int]
-    """Ids of the frames that make the pose."""
-    fault_flags: tuple[str, ...]
-    """Quantities `fault:NAME` that must be 0."""
     origin_deg: tuple[float, float] | None
     """Latitude and longitude of x = y = 0, for receivers that send degrees."""
     writer: CommandWriter
@@ -103,50 +108,76 @@ class CarConfig:
         """All that is read, by name."""
         return {name: mapping for reader in self.readers for name, mapping in reader.mappings.items()}
 
+    @cached_property
+    def fault_flags(self) -> tuple[str, ...]:
+        """Quantities `fault:NAME` that must be 0."""
+        return tuple(name for name in self.quantities if name.startswith("fault:"))
+
+    @cached_property
+    def report_frames(self) -> frozenset[int]:
+        """Ids of the frames that make the kit's report."""
+        return self._frames_of({*REPORT, *self.fault_flags})
+
+    @cached_property
+    def pose_frames(self) -> frozenset[int]:
+        """Ids of the frames that make the pose."""
+        return self._frames_of(set(POSE))
+
+    def _frames_of(self, names: set[str]) -> frozenset[int]:
+        return frozenset(reader.frame_id for reader in self.readers if reader.mappings.keys() & names)
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """Every limit by the key that it has in the file, in SI."""
+        values = asdict(self.gate) | asdict(self.states) | asdict(self.motion)
+        return {key: values[f.name] for key, f in LIMITS.items()}
+
     def facts(self) -> dict[str, Any]:
         """What a program may want to know: what is read and written, and every limit [SI]."""
         quantities = {
             name: {"unit": DIMENSION.get(name, "1"), "signal": m.signal, "gain": m.gain, "offset": m.offset}
             for name, m in self.quantities.items()
         }
-        limits = asdict(self.gate) | asdict(self.states) | asdict(self.motion)
         return {
             "file": self.file,
             "vehicle": self.vehicle.name,
             "listen_only": self.listen_only,
             "read": quantities,
             "write": {"message": self.writer.message.name, "signal": self.writer.angle.signal},
-            "limits": {name: value for name, value in limits.items() if name not in DERIVED},
+            "limits": {LIMITS[key].name: value for key, value in self.limits.items()},
         }
 
     def summary(self) -> list[str]:
         """What will be read and written, one line each."""
-        lines = [f"bus      {', '.join(f'{k} = {v!r}' for k, v in self.bus.items())}"]
-        lines.append(f"vehicle  {self.vehicle.name}, ratio {self.gate.steer_ratio:g}, L = {self.gate.wheelbase:g} m")
-        lines.append(f"course   {self.course.get('name') or self.course['file']}")
+        w, never = self.writer, " NEVER: listen only" if self.listen_only else ""
+        rest = {"enable": w.enable, "clear": w.clear, "counter": w.counter, "CRC": w.crc}
+        lines = [
+            f"bus      {', '.join(f'{k} = {v!r}' for k, v in self.bus.items())}",
+            f"vehicle  {self.vehicle.name}, ratio {self.gate.steer_ratio:g}, L = {self.gate.wheelbase:g} m",
+            f"course   {self.course.get('name') or self.course['file']}",
+        ]
         for reader in self.readers:
             period = f"{reader.period:g} s" if reader.period else ""
-            parts = (("counter", reader.counter), ("CRC-8 0x2F", reader.crc), ("period", period))
-            guard = ", ".join(f"{k} {v}" for k, v in parts if v)
-            lines.append(f"read     {reader.name} (0x{reader.frame_id:X}), protection: {guard}")
-            for name, mapping in reader.mappings.items():
+            parts = {"counter": reader.counter, "CRC-8 0x2F": reader.crc, "period": period}
+            lines.append(f"read     {reader.name} (0x{reader.frame_id:X}), protection: {_listed(parts)}")
+            for name, m in reader.mappings.items():
                 unit = DIMENSION.get(name, "1")
-                lines.append(f"           {name} [{unit}] = {mapping.gain:.6g} * {mapping.signal} + {mapping.offset:g}")
-        w = self.writer
-        lines.append(f"write    {w.message.name} (0x{w.frame_id:X}){' NEVER: listen only' if self.listen_only else ''}")
-        lines.append(
-            f"           {w.angle.signal} = delta_sw / {w.angle.gain:.6g}, steps of {degrees_of(w.quantum):.3g} deg"
-        )
-        rest = {"enable": w.enable, "clear": w.clear, "counter": w.counter, "CRC": w.crc}
-        lines.append(f"           {', '.join(f'{k} {v}' for k, v in rest.items() if v)}; fixed {dict(w.fixed)}")
-        lines.append(f"kit      lag {self.lag:g} s, delay {self.delay:g} s, for controllers that predict")
-        for limits in (self.gate, self.states, self.motion):
-            for f in fields(limits):
-                if f.name not in DERIVED:
-                    value = getattr(limits, f.name)
-                    shown = f"{f.name}_deg = {degrees_of(value):g}" if f.name in ANGLES else f"{f.name} = {value:g}"
-                    lines.append(f"limit    {shown}")
-        return list(dict.fromkeys(lines))
+                lines.append(f"           {name} [{unit}] = {m.gain:.6g} * {m.signal} + {m.offset:g}")
+        return [
+            *lines,
+            f"write    {w.message.name} (0x{w.frame_id:X}){never}",
+            f"           {w.angle.signal} = delta_sw / {w.angle.gain:.6g}, steps of {degrees_of(w.quantum):.3g} deg",
+            f"           {_listed(rest)}; fixed {dict(w.fixed)}",
+            f"kit      lag {self.lag:g} s, delay {self.delay:g} s, for controllers that predict",
+            *(
+                f"limit    {key} = {degrees_of(value) if _is_angle(LIMITS[key]) else value:g}"
+                for key, value in self.limits.items()
+            ),
+        ]
+
+
+def _listed(parts: dict[str, str]) -> str:
+    return ", ".join(f"{name} {part}" for name, part in parts.items() if part)
 
 
 def shipped(name: str) -> File:
@@ -156,62 +187,6 @@ def shipped(name: str) -> File:
         known = ", ".join(sorted(f.name for f in folder.iterdir() if f.suffix in (".toml", ".dbc")))
         raise ConfigError(f"{name}: no such file, beside the configuration or shipped; shipped: {known}")
     return folder / name
-
-
-BOUNDS: dict[str, tuple[float, float]] = {
-    # the gate
-    "delta_sw_max_deg": (5.0, STOP_DEG),
-    "rate_max_deg": (10.0, 1000.0),
-    "a_y_max": (0.2, 5.0),
-    "jerk_max": (0.2, 10.0),
-    "v_floor": (0.5, 5.0),
-    "v_max": (0.5, 40.0),
-    "dt_min": (0.004, 0.02),
-    "dt_max": (0.02, 0.1),
-    # ages and times [s]
-    "report_age": (0.02, 0.15),
-    "pose_age": (0.02, 0.15),
-    "request_age": (0.052, 0.09),
-    "request_lost": (0.06, 0.3),
-    "lateness": (0.005, 0.1),
-    "echo_age": (0.03, 0.5),
-    "follow_time": (0.1, 2.0),
-    "enable_time": (0.05, 2.0),
-    "heartbeat": (0.15, 0.5),
-    "still_time": (0.2, 5.0),
-    "foreign_enable": (0.1, 1.0),
-    "end_warning": (1.0, 20.0),
-    # counts
-    "torque_reports": (1, 10),
-    "integrity_errors": (1, 10),
-    "misses": (1, 20),
-    # sizes
-    "e_max": (0.1, 5.0),
-    "e_growth": (0.2, 2.0),
-    "e_engage": (0.05, 2.0),
-    "psi_e_engage_deg": (1.0, 60.0),
-    "psi_e_max_deg": (5.0, 90.0),
-    "delta_engage_deg": (1.0, 90.0),
-    "follow_angle_deg": (5.0, 120.0),
-    "v_mismatch": (0.1, 3.0),
-    "v_reverse": (0.05, 1.0),
-    "v_still": (0.05, 1.0),
-    "v_engage_min": (0.1, 20.0),
-    "v_engage_max": (0.2, 40.0),
-    "torque_max": (0.3, 10.0),
-    "quality": (0.5, 100.0),
-    "end_margin": (0.5, 50.0),
-    # dead reckoning
-    "pose_jump": (0.05, 0.5),
-    "motion_along": (0.005, 0.15),
-    "motion_across_deg": (0.1, 3.0),
-    "heading_slack_deg": (0.5, 5.0),
-    "heading_rate_deg": (0.05, 2.0),
-    "wheel_slack_deg": (1.0, 10.0),
-    "wheel_rate_deg": (0.5, 8.0),
-    "wheel_share": (0.05, 0.8),
-}
-"""(smallest, largest) that `[limits]` may ask for, in the file's units."""
 
 
 TELLING = {
@@ -289,17 +264,19 @@ def _frames(config: CarConfig) -> Iterator[str]:
         many = [s.name for s in reader.message.signals if s.is_multiplexer or s.multiplexer_ids]
         if many:
             yield f"[read] {reader.name} is multiplexed ({', '.join(many)}), expected a frame with one layout"
+        report, pose = (reader.frame_id in frames for frames in (config.report_frames, config.pose_frames))
+        if report and pose:
+            rest = "they must come from different frames, as they are checked against each other"
+            yield f"[read]: {reader.name} holds both what the kit reports and what makes the pose; {rest}"
         guarded = reader.counter or reader.crc
-        if guarded and reader.period != 0.0 and not 0.002 <= reader.period <= 0.1:
-            yield f"[protect] {reader.name}: period = {reader.period:g} s, expected 0.002 to 0.1 s, or none"
-        if not guarded and not 0.002 <= reader.period <= 0.1:
+        if not (0.002 <= reader.period <= 0.1 or (guarded and reader.period == 0.0)):
+            rest = ", or none" if guarded else ": with neither counter nor CRC, only their number tells a second sender"
+            yield f"[protect] {reader.name}: period = {reader.period:g} s, expected 0.002 to 0.1 s{rest}"
+        if "delta_sw" in reader.mappings and not guarded and "echo" not in config.quantities:
             yield (
-                f"[protect] {reader.name}: period = {reader.period:g} s, expected 0.002 to 0.1 s: with neither counter "
-                "nor CRC, only their number tells a second sender"
+                "[read] echo: missing; the kit's report has neither counter nor CRC, so its echo of the command "
+                "is the only thing that shows when it freezes"
             )
-        for signal in reader.message.signals:
-            if not (math.isfinite(signal.scale) and signal.scale != 0.0):
-                yield f"{reader.name}.{signal.name}: scale {signal.scale} in the DBC, expected one that is not 0"
 
 
 def _ranges(config: CarConfig) -> Iterator[str]:
@@ -350,27 +327,12 @@ def _command(config: CarConfig) -> Iterator[str]:
             yield f"[write] {role} = {name!r} is named like {other}; are the two swapped?"
         elif name and DANGEROUS.search(name) and not own.match(name):
             yield f"[write] {role} = {name!r} switches a protection of the kit off; expected the signal for {role}"
-    for where, message, name in [
-        ("write", writer.message, writer.counter),
-        *((f"protect.{r.name}", r.message, r.counter) for r in config.readers),
-    ]:
-        counter = message.get_signal_by_name(name) if name else None
-        if counter and (counter.scale, counter.offset) != (1, 0):
-            steps = f"in steps of {counter.scale:g} from {counter.offset:g}"
-            yield f"[{where}] counter = {name!r} counts {steps}, expected 1 from 0"
-    for role in ("enable", "clear", "alert"):
-        name = getattr(writer, role)
-        if name and writer.message.get_signal_by_name(name).length != 1:
-            yield f"[write] {role} = {name!r} has more than one bit"
     for name, value in writer.fixed:
         if name in names:
             yield f"[write.fixed] {name} is written by [write] already"
         elif value and DANGEROUS.search(name):
             yield f"[write.fixed] {name} = {value}, expected 0: it switches a protection of the kit off"
     signal = writer.message.get_signal_by_name(writer.angle.signal)
-    if not (math.isfinite(signal.scale) and signal.scale != 0.0):
-        yield f"[write] {signal.name}: scale {signal.scale} in the DBC, expected one that is not 0"
-        return
     if not degrees_of(writer.quantum) <= 1.0:
         yield f"[write] {signal.name} has steps of {degrees_of(writer.quantum):.3g} deg, expected at most 1 deg"
     for side in (-largest, largest):
@@ -412,71 +374,74 @@ def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
         if importlib.util.find_spec(name) is None:
             raise ConfigError(f"{path}: a car needs the package {name}: pip install 'steerkit-control[car]'")
 
-    return Reading(path, text, data).config(bus)
+    return Reading(f"{path}", data, {"config.toml": text}, path.parent).config(bus)
 
 
 class Reading:
-    """One pass over the tables of a car's file; mistakes are collected."""
+    """One pass over the tables of a car's file; mistakes are collected.
 
-    def __init__(self, path: File, text: str, data: dict[str, Any]):
-        self.path, self.data = path, data
+    where: what errors call it. texts: its own, `config.toml`, and those of files that it names. folder: where the
+    others are; None: nowhere, as a recording holds them all.
+    """
+
+    def __init__(self, where: str, data: dict[str, Any], texts: dict[str, str], folder: File | None = None):
+        self.where, self.data, self.texts, self.folder = where, data, texts, folder
         self.mistakes: list[str] = []
-        self.texts = {"config.toml": text}
-        self.vehicle_file = ""
 
     def config(self, bus: dict[str, Any] | None) -> CarConfig:
-        self.known("", self.data, (*TABLES, "controllers"))
+        """The configuration, on another bus if there is one; raises ConfigError with all mistakes."""
+        self.known("", self.data, TABLES)
         if self.data.get("format") != FORMAT:
-            raise ConfigError(
-                f"{self.path}: format = {self.data.get('format')!r}, expected {FORMAT!r} in the first line"
-            )
+            self.mistakes = [f"format = {self.data.get('format')!r}, expected {FORMAT!r} in the first line"]
+            self.end()
         database = self.database()
-        car = self.car()
-        readers, origin, flags = self.reading(database)
-        writer = self.writing(database)
+        car, vehicle_file = self.car()
+        readers, writer = self.reading(database), self.writing(database)
         gate, states, motion = self.limits(car, writer)
-        course, server = self.course(), self.table("server", ("listen_only", "keep_recording"))
-        lag, delay = self.kit()
-        controllers = self.controllers()
-        listen, keep = (self.entry("server", server, key, bool, False) for key in ("listen_only", "keep_recording"))
-        arguments = self.bus() if bus is None else bus
-        if self.mistakes:
-            raise ConfigError("\n".join(f"{self.path}: {m}" for m in self.mistakes))
+        server = self.table("server", ("listen_only", "keep_recording"))
+        made = {
+            "bus": self.bus() if bus is None else bus,
+            "course": self.course(),
+            "origin_deg": self.origin(),
+            "controllers": self.controllers(),
+            **{key: self.entry("server", server, key, bool, False) for key in ("listen_only", "keep_recording")},
+            **self.kit(),
+        }
+        self.end()
         assert writer is not None
-        ids = {r.frame_id: set(r.mappings) for r in readers}
         config = CarConfig(
-            file=str(self.path),
-            bus=arguments,
-            course=course,
+            file=self.where,
             vehicle=car,
+            vehicle_file=vehicle_file,
             readers=tuple(readers),
-            report_frames=frozenset(i for i, names in ids.items() if names & {*REPORT, *flags}),
-            pose_frames=frozenset(i for i, names in ids.items() if names & set(POSE)),
-            fault_flags=flags,
-            origin_deg=origin,
             writer=writer,
             gate=gate,
             states=states,
             motion=motion,
-            listen_only=listen,
-            keep_recording=keep,
-            vehicle_file=self.vehicle_file,
             texts=self.texts,
-            lag=lag,
-            delay=delay,
-            controllers=controllers,
+            **made,
         )
-        mistakes = audit(config)
-        if mistakes:
-            raise ConfigError("\n".join(f"{self.path}: {m}" for m in mistakes))
+        self.mistakes = audit(config)
+        self.end()
         return config
+
+    def end(self) -> None:
+        if self.mistakes:
+            raise ConfigError("\n".join(f"{self.where}: {m}" for m in self.mistakes))
+
+    def text(self, name: str, read: Callable[[File], str]) -> str:
+        """The text of a file that the configuration names; raises ValueError or OSError."""
+        if name not in self.texts:
+            if self.folder is None:
+                raise ValueError(f"{name} is not in it: no replay")
+            self.texts[name] = read(self.folder / name)
+        return self.texts[name]
 
     def bus(self) -> dict[str, Any]:
         table = self.table("bus", ("interface", "channel", "bitrate", "options"))
         interface = self.entry("bus", table, "interface", str)
         if interface:
-            known = sorted(python_can().interfaces.BACKENDS)
-            self.one_of(interface, known, f"[bus] interface = {interface!r}: python-can has none of that name")
+            self.one_of(interface, sorted(python_can().interfaces.BACKENDS), "[bus] interface of python-can")
         channel = table.get("channel")
         if not isinstance(channel, (str, int)) or isinstance(channel, bool):
             self.wrong(f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number")
@@ -491,100 +456,84 @@ class Reading:
                 self.wrong(f"[controllers] allow: {name!r}, expected names such as 'my_file.py:make'")
         return tuple(map(str, names))
 
-    def kit(self) -> tuple[float, float]:
-        table = self.table("kit", ("lag", "delay"))
-        values = [self.entry("kit", table, key, float, default) for key, default in (("lag", 0.1), ("delay", 0.0))]
-        for key, value in zip(("lag", "delay"), values):
+    def kit(self) -> dict[str, float]:
+        defaults = {"lag": 0.1, "delay": 0.0}
+        table = self.table("kit", defaults)
+        values = {key: self.entry("kit", table, key, float, default) for key, default in defaults.items()}
+        for key, value in values.items():
             if not 0.0 <= value <= 1.0:
                 self.wrong(f"[kit] {key} = {value:g} s, expected 0 to 1 s")
-        return values[0], values[1]
+        return values
 
     def database(self) -> Any:
         python_can()
         import cantools
 
-        table = self.table("files", ("dbc",))
-        names = self.entry("files", table, "dbc", list)
+        def beside_or_shipped(place: File) -> str:
+            return (place if place.is_file() else shipped(place.name)).read_text(encoding="cp1252")
+
         database = cantools.database.Database(strict=True)
-        for name in names:
-            try:
-                beside = self.path.parent / str(name)
-                text = (beside if beside.is_file() else shipped(str(name))).read_text(encoding="cp1252")
-                database.add_dbc_string(text)
-                self.texts[str(name)] = text
-            except (ConfigError, cantools.database.Error, OSError, ValueError) as error:
-                self.wrong(f"[files] dbc: {name}: {error}")
+        for name in map(str, self.entry("files", self.table("files", ("dbc",)), "dbc", list)):
+            with self.noted(f"[files] dbc: {name}: ", cantools.database.Error):
+                database.add_dbc_string(self.text(name, beside_or_shipped))
         return database
 
-    def car(self) -> Vehicle:
-        table = self.table("vehicle", ("name",))
-        name = self.entry("vehicle", table, "name", str)
-        try:
+    def car(self) -> tuple[Vehicle, str]:
+        """The car, and the name of its vehicle file; "" for a car by its name."""
+        name = self.entry("vehicle", self.table("vehicle", ("name",)), "name", str)
+        with self.noted("[vehicle] name: "):
             if not name.endswith(".toml"):
-                return vehicle(name)
-            place = self.path.parent / name
-            car = vehicle(str(place))
-            self.texts[name] = place.read_text(encoding="utf-8")
-            self.vehicle_file = name
-            return car
-        except ValueError as error:
-            self.wrong(f"[vehicle] name: {error}")
-            return vehicle("vw-passat")
+                return vehicle(name), ""
+            return vehicle_of(self.text(name, text_of), name), name
+        return vehicle("vw-passat"), ""
 
     def course(self) -> dict[str, Any]:
         table = self.table("course", ("name", "file", "closed"))
         if ("name" in table) == ("file" in table):
             self.wrong("[course]: give either name, such as 'paper', or file, a CSV with the columns x and y")
-        if "file" in table:
-            place = self.path.parent / str(table["file"])
-            if not place.is_file():
-                self.wrong(f"[course] file = {table['file']!r}: there is no {place}")
-                return {}
-            self.texts[str(table["file"])] = place.read_text(encoding="utf-8")
-            try:
-                path = Path.from_csv(place, closed=self.entry("course", table, "closed", bool))
-            except ValueError as error:
-                self.wrong(f"[course] file: {error}")
-                return {}
-            return {"file": str(table["file"]), "path": path}
-        return {"name": self.entry("course", table, "name", str)}
+        if "file" not in table:
+            return {"name": self.entry("course", table, "name", str)}
+        name, closed = (self.entry("course", table, key, kind) for key, kind in (("file", str), ("closed", bool)))
+        with self.noted(f"[course] file = {name!r}: "):
+            text = self.text(name, lambda place: read_text(place, "course"))
+            return {"file": name, "path": Path.from_text(text, closed=closed, name=File(name).stem, where=name)}
+        return {}
 
     def limits(self, car: Vehicle, writer: CommandWriter | None) -> tuple[GateLimits, StateLimits, MotionLimits]:
-        kinds = (GateLimits, StateLimits, MotionLimits)
-        valid = {f.name: f for kind in kinds for f in fields(kind) if f.name not in DERIVED}
-        keys = {f"{name}_deg" if name in ANGLES else name: name for name in valid}
-        table = self.table("limits", keys)
+        table = self.table("limits", LIMITS)
         values: dict[str, Any] = {}
-        for key, name in keys.items():
-            if key in table:
-                value = self.entry("limits", table, key, int if valid[name].type == "int" else float)
-                low, high = BOUNDS[key]
-                if not low <= value <= high:
-                    self.wrong(f"[limits] {key} = {value:g}, expected {low:g} to {high:g}")
-                else:
-                    values[name] = radians_of(value) if name in ANGLES else value
+        for key in [key for key in LIMITS if key in table]:
+            limit = LIMITS[key]
+            value = self.entry("limits", table, key, int if limit.type == "int" else float)
+            _, low, high, _ = limit.metadata["number"]
+            values[limit.name] = radians_of(value) if _is_angle(limit) else value
+            if not low <= values[limit.name] <= high:
+                least, most = (degrees_of(end) if _is_angle(limit) else end for end in (low, high))
+                self.wrong(f"[limits] {key} = {value:g}, expected {least:g} to {most:g}")
+                del values[limit.name]
         derived = {"steer_ratio": car.steer_ratio, "wheelbase": car.wheelbase, "arm": car.l_r}
         if writer is not None:
             derived["quantum"] = writer.quantum
 
         def made(kind: Any, **more: Any) -> Any:
-            try:
+            with self.noted("[limits]: "):
                 return kind(**{f.name: values[f.name] for f in fields(kind) if f.name in values}, **more)
-            except ValueError as error:
-                self.wrong(f"[limits]: {error}")
-                return kind()
+            return kind()
 
         return made(GateLimits, **derived), made(StateLimits), made(MotionLimits)
 
     def message(self, database: Any, where: str, name: Any) -> Any:
-        names = [m.name for m in database.messages]
-        there = self.one_of(name, names, f"[{where}] frame = {name!r}: not in the DBC files")
+        there = self.one_of(name, [m.name for m in database.messages], f"[{where}] frame")
         return database.get_message_by_name(name) if there else None
 
     def signal(self, message: Any, where: str, name: Any) -> Any:
-        names = [s.name for s in message.signals]
-        there = self.one_of(name, names, f"[{where}]: {message.name} has no signal {name!r}")
-        return message.get_signal_by_name(name) if there else None
+        if not self.one_of(name, [s.name for s in message.signals], f"[{where}] signal of {message.name}"):
+            return None
+        signal = message.get_signal_by_name(name)
+        if not (math.isfinite(signal.scale) and signal.scale != 0.0):
+            self.wrong(f"[{where}] {message.name}.{name}: scale {signal.scale} in the DBC, expected one that is not 0")
+            return None
+        return signal
 
     def mapping(self, where: str, quantity: str, message: Any, table: dict[str, Any]) -> Mapping | None:
         signal = self.signal(message, where, table.get("signal"))
@@ -604,18 +553,17 @@ class Reading:
             return None
         return Mapping(frame=message.name, signal=signal.name, unit=unit, scale=scale, sign=sign, offset=offset)
 
-    def reading(self, database: Any) -> tuple[list[FrameReader], tuple[float, float] | None, tuple[str, ...]]:
+    def reading(self, database: Any) -> list[FrameReader]:
         table = self.table("read", (*REPORT, *(p for p in POSE if p not in ("lat", "lon")), "faults", "gnss"))
-        gnss = self.table("read.gnss", ("lat", "lon", "origin_deg"), inside=table) if "gnss" in table else {}
+        gnss = self.table("read.gnss", ("lat", "lon", "origin_deg"), inside=table)
         entries = {k: v for k, v in table.items() if k not in ("faults", "gnss")}
-        entries |= {k: v for k, v in gnss.items() if k in ("lat", "lon")}
-        place = ("lat", "lon") if gnss else ("x", "y")
         if gnss and ({"x", "y"} & entries.keys()):
             self.wrong("[read]: both x, y and gnss, expected one of them")
-        by_frame: dict[str, dict[str, Mapping]] = {}
-        for name in (*NEEDED, *place):
+        entries |= {k: v for k, v in gnss.items() if k in ("lat", "lon")}
+        for name in (*NEEDED, *(("lat", "lon") if gnss else ("x", "y"))):
             if name not in entries:
                 self.wrong(f"[read] {name}: missing, expected {{ frame = ..., signal = ... }}")
+        by_frame: dict[str, dict[str, Mapping]] = {}
         for name, entry in entries.items():
             where = f"read.{name}"
             if not isinstance(entry, dict):
@@ -626,82 +574,68 @@ class Reading:
             mapping = self.mapping(where, name, message, entry) if message is not None else None
             if mapping is not None:
                 by_frame.setdefault(mapping.frame, {})[name] = mapping
-        flags = self.faults(database, table, by_frame)
-        readers = [self.reader(database, name, mappings) for name, mappings in by_frame.items()]
-        report = by_frame.get(str(entries.get("delta_sw", {}).get("frame")), {})
-        if report and not self.guarded(next(iter(report.values())).frame) and "echo" not in entries:
-            self.wrong(
-                "[read] echo: missing; the kit's report has neither counter nor CRC, so its echo of the command "
-                "is the only thing that shows when it freezes"
-            )
+        self.faults(database, table, by_frame)
         self.known("protect", self.table("protect"), by_frame)
-        self.groups(readers)
-        return readers, self.origin(gnss) if gnss else None, flags
+        return [self.reader(database, name, mappings) for name, mappings in by_frame.items()]
 
-    def faults(self, database: Any, table: dict[str, Any], by_frame: dict[str, dict[str, Mapping]]) -> tuple[str, ...]:
+    def faults(self, database: Any, table: dict[str, Any], by_frame: dict[str, dict[str, Mapping]]) -> None:
         faults = self.table("read.faults", ("frame", "signals"), inside=table)
-        message = self.message(database, "read.faults", faults.get("frame")) if faults else None
-        if message is None:
-            if not faults:
-                self.wrong("[read.faults]: missing, expected the frame and the signals that must be 0")
-            return ()
-        names = []
-        for flag in self.entry("read.faults", faults, "signals", list):
+        if not faults:
+            self.wrong("[read.faults]: missing, expected the frame and the signals that must be 0")
+            return
+        message = self.message(database, "read.faults", faults.get("frame"))
+        for flag in self.entry("read.faults", faults, "signals", list) if message is not None else ():
             if self.signal(message, "read.faults", flag) is not None:
                 by_frame.setdefault(message.name, {})[f"fault:{flag}"] = Mapping(frame=message.name, signal=flag)
-                names.append(f"fault:{flag}")
-        return tuple(names)
 
     def reader(self, database: Any, name: str, mappings: dict[str, Mapping]) -> FrameReader:
         message, where = database.get_message_by_name(name), f"protect.{name}"
         table = self.table("protect").get(name)
-        guard, period = {"counter": "", "crc": ""}, 0.0
-        if isinstance(table, dict):
-            self.known(where, table, (*guard, "period"))
-            guard |= {k: v for k, v in table.items() if k in guard and self.signal(message, where, v) is not None}
-            period = self.entry(where, table, "period", float, 0.0)
-        else:
+        if not isinstance(table, dict):
             self.wrong(
                 f"[protect] {name} = {table!r}, expected {{ counter = ..., crc = ... }}, or, for a frame that has "
                 "neither, {{ period = ... }}: the time between two of them [s], to notice a second sender"
             )
-        self.crc_fits(message, where, guard["crc"])
+            return FrameReader(message, mappings)
+        self.known(where, table, ("counter", "crc", "period"))
+        guard = self.named(message, where, table, ("counter", "crc"))
         if guard["counter"] and message.get_signal_by_name(guard["counter"]).length < 3:
             self.wrong(f"[{where}] counter = {guard['counter']!r} counts to less than {2 * MAX_JUMP}, too few")
-            guard["counter"] = ""
-        return FrameReader(message, mappings, **guard, period=period)
+        return FrameReader(message, mappings, **guard, period=self.entry(where, table, "period", float, 0.0))
 
-    def guarded(self, frame: str) -> bool:
-        table = self.table("protect").get(frame)
-        return isinstance(table, dict) and bool(table.keys() & {"counter", "crc"})
+    def named(self, message: Any, where: str, table: dict[str, Any], roles: Iterable[str]) -> dict[str, str]:
+        """The signals of these roles, "" where there is none, each such that it can have its role."""
+        names = dict.fromkeys(roles, "")
+        for role in names:
+            signal = self.signal(message, f"{where}.{role}", table[role]) if table.get(role) else None
+            if signal is None:
+                continue
+            names[role] = signal.name
+            what = f"[{where}] {role} = {signal.name!r}"
+            first = 0 if signal.byte_order == "little_endian" else 7
+            if role == "crc" and (signal.length != 8 or signal.start % 8 != first):
+                self.wrong(f"{what} does not fill one byte, as a CRC-8 must")
+            if role == "counter" and (signal.scale, signal.offset) != (1, 0):
+                steps = f"in steps of {signal.scale:g} from {signal.offset:g}"
+                self.wrong(f"{what} counts {steps}, expected 1 from 0")
+            if role in ("enable", "clear", "alert") and signal.length != 1:
+                self.wrong(f"{what} has more than one bit")
+        return names
 
-    def crc_fits(self, message: Any, where: str, name: str) -> None:
-        if name:
-            signal = message.get_signal_by_name(name)
-            little = signal.byte_order == "little_endian"
-            if signal.length != 8 or signal.start % 8 != (0 if little else 7):
-                self.wrong(f"[{where}] crc = {name!r} does not fill one byte, as a CRC-8 must")
-
-    def groups(self, readers: list[FrameReader]) -> None:
-        for reader in readers:
-            report = {n for n in reader.mappings if n in REPORT or n.startswith("fault:")}
-            pose = set(reader.mappings) & set(POSE)
-            if report and pose:
-                self.wrong(
-                    f"[read]: {reader.name} holds both {min(report)} (the kit's) and {min(pose)} (the pose's); "
-                    "they must come from different frames, as they are checked against each other"
-                )
-
-    def origin(self, gnss: dict[str, Any]) -> tuple[float, float]:
+    def origin(self) -> tuple[float, float] | None:
+        gnss = self.table("read.gnss", inside=self.table("read"))
         origin = gnss.get("origin_deg")
+        if not gnss:
+            return None
         numbers = isinstance(origin, list) and len(origin) == 2 and all(isinstance(o, (int, float)) for o in origin)
         if not numbers or not (abs(origin[0]) < 90.0 and abs(origin[1]) <= 180.0):  # type: ignore[index]
             self.wrong(f"[read.gnss] origin_deg = {origin!r}, expected [latitude, longitude] in degrees")
-            return 0.0, 0.0
+            return None
         return float(origin[0]), float(origin[1])  # type: ignore[index]
 
     def writing(self, database: Any) -> CommandWriter | None:
-        table = self.table("write", ("frame", "angle", "enable", "clear", "alert", "counter", "crc", "fixed"))
+        roles = ("enable", "clear", "alert", "counter", "crc")
+        table = self.table("write", ("frame", "angle", "fixed", *roles))
         message = self.message(database, "write", table.get("frame"))
         angle = self.table("write.angle", ("signal", "unit", "scale", "sign"), inside=table)
         if message is None:
@@ -709,11 +643,7 @@ class Reading:
         mapping = self.mapping("write.angle", "delta_sw", message, angle)
         if "enable" not in table:
             self.wrong("[write] enable: missing, expected the name of the signal that is 1 while steering")
-        names = {k: table.get(k, "") for k in ("enable", "clear", "alert", "counter", "crc")}
-        for key, name in names.items():
-            if name and self.signal(message, f"write.{key}", name) is None:
-                names[key] = ""
-        self.crc_fits(message, "write", names["crc"])
+        names = self.named(message, "write", table, roles)
         fixed = self.table("write.fixed", inside=table)
         for name, value in fixed.items():
             signal = self.signal(message, "write.fixed", name)
@@ -726,19 +656,24 @@ class Reading:
     def wrong(self, what: str) -> None:
         self.mistakes.append(what)
 
-    def one_of(self, name: Any, valid: Iterable[str], says: str) -> bool:
-        """Is the name one of these? If not, that is a mistake: what `says` says, with the nearest and all that are."""
-        valid = list(valid)
-        near = difflib.get_close_matches(str(name), valid, n=1)
-        if name not in valid:
-            hint = f"; did you mean '{near[0]}'?" if near else ""
-            self.wrong(f"{says}{hint} (valid: {', '.join(valid) or 'none'})")
-        return name in valid
+    @contextmanager
+    def noted(self, where: str, *more: type[Exception]) -> Iterator[None]:
+        """What is raised inside is a mistake, and what follows is read too."""
+        caught: tuple[type[Exception], ...] = (ValueError, OSError, *more)
+        try:
+            yield
+        except caught as error:
+            self.wrong(f"{where}{in_one_line(error)}")
+
+    def one_of(self, name: Any, valid: Iterable[str], what: str) -> bool:
+        """Is the name one of these? If not, that is a mistake."""
+        with self.noted(""):
+            return bool(known(str(name), valid, what))
+        return False
 
     def known(self, where: str, table: dict[str, Any], valid: Iterable[str]) -> None:
-        valid = list(valid)
         for key in table:
-            self.one_of(key, valid, f"{f'[{where}] ' if where else ''}{key}: not known")
+            self.one_of(key, valid, f"[{where}] key" if where else "table")
 
     def table(
         self, name: str, valid: Iterable[str] | None = None, inside: dict[str, Any] | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import check_numbers, number
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.vehicles.rollout import yaw_gain
 
@@ -32,27 +32,25 @@ class MotionLimits:
     An error that stays below them moves the car by motion_across*v + pose_jump/HORIZON a second at most.
     """
 
-    pose_jump: float = 0.25
+    pose_jump: float = number(0.25, "m", low=0.05, high=0.5)
     """Jump of the position that a good receiver makes [m]."""
-    motion_along: float = 0.06
+    motion_along: float = number(0.06, low=0.005, high=0.15)
     """Error of the speed [1]."""
-    motion_across: float = 0.012
+    motion_across: float = number(0.012, "rad", low=radians_of(0.1), high=radians_of(3.0))
     """Error of the heading, and of the sideslip where it is not measured [rad]."""
-    heading_slack: float = radians_of(1.5)
+    heading_slack: float = number(radians_of(1.5), "rad", low=radians_of(0.5), high=radians_of(5.0))
     """Jump of the heading that a good receiver makes [rad]."""
-    heading_rate: float = radians_of(0.5)
+    heading_rate: float = number(radians_of(0.5), "rad/s", low=radians_of(0.05), high=radians_of(2.0))
     """Error of the yaw rate [rad/s]."""
-    wheel_slack: float = radians_of(4.0)
+    wheel_slack: float = number(radians_of(4.0), "rad", low=radians_of(1.0), high=radians_of(10.0))
     """Heading by which the yaw rate lags behind the wheel, or runs ahead [rad]."""
-    wheel_rate: float = radians_of(2.5)
+    wheel_rate: float = number(radians_of(2.5), "rad/s", low=radians_of(0.5), high=radians_of(8.0))
     """Yaw rate that the wheel does not explain: its offset, wind, a banked road [rad/s]."""
-    wheel_share: float = 0.4
+    wheel_share: float = number(0.4, low=0.05, high=0.8)
     """The same as a share of the yaw rate: ratio and tyres that differ from the data sheet [1]."""
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            require(0.0 < value < math.inf, "MotionLimits", f"{name} = {value}, expected a finite number > 0")
+        check_numbers(self, "MotionLimits")
 
 
 class MotionCheck:

@@ -1,20 +1,21 @@
-"""What the car server and its clients say to each other: one packet, one message, fixed layouts."""
+"""What the car server and its clients say to each other: one packet, one message, in JSON."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
-import struct
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 from steerkit.car.state_machine import Mode, Order
 from steerkit.paths.path import Path
 
-VERSION = 3
+VERSION = 4
 """Another one where a message changes."""
-NO_COURSE = bytes(8)
+NO_COURSE = ""
 """Of a client that does not say which course it means."""
-_MODES, _ORDERS = tuple(Mode), tuple(Order)
+MAX_PACKET = 32768
+"""Bytes of the longest packet."""
 
 
 class Hello(NamedTuple):
@@ -22,7 +23,7 @@ class Hello(NamedTuple):
 
     controller: bool
     version: int = VERSION
-    course: bytes = NO_COURSE
+    course: str = NO_COURSE
     """`digest` of the course that the controller drives; a car server on another one refuses it."""
 
 
@@ -136,69 +137,43 @@ class Refused(NamedTuple):
 Message = Hello | Query | Beat | Command | Request | Remark | Estimates | Adapted | Filtered | Snapshot | Refused
 ESTIMATES = ("delay", "lag", "delay_lag", "steer_ratio", "understeer", "offset", "rate_zero", "friction", "play")
 """What is estimated in a drive, in this order; the units are those of the blocks."""
-_NUMBERS = len(Snapshot._fields) - 2
-_SNAPSHOT = struct.Struct(f"<c{_NUMBERS}dB")
-_LAYOUTS: dict[bytes, tuple[Any, struct.Struct]] = {
-    b"Q": (Query, struct.Struct("<c")),
-    b"B": (Beat, struct.Struct("<c")),
-    b"R": (Request, struct.Struct("<cddI")),
-    b"F": (Estimates, struct.Struct(f"<c{3 * len(ESTIMATES)}d")),
-    b"A": (Adapted, struct.Struct("<c2d")),
-    b"C": (Filtered, struct.Struct("<c5d")),
-}
-"""Messages that are numbers: the byte that a packet begins with, the message, and how its fields lie."""
-_LETTERS = {kind: letter for letter, (kind, _) in _LAYOUTS.items()}
-MAX_PACKET = 4096
+_KINDS = {kind.__name__: kind for kind in get_args(Message)}
+_FIELDS: dict[str, dict[str, Any]] = {name: get_type_hints(kind) for name, kind in _KINDS.items()}
 
 
-def digest(path: Path) -> bytes:
-    """Eight bytes that tell courses apart."""
-    return hashlib.blake2b(path.samples.xy.tobytes() + bytes([path.closed]), digest_size=8).digest()
+def digest(path: Path) -> str:
+    """A text that tells courses apart."""
+    return hashlib.blake2b(path.samples.xy.tobytes() + bytes([path.closed]), digest_size=8).hexdigest()
 
 
 def encode(message: Message) -> bytes:
-    """A message as a packet."""
-    match message:
-        case Hello():
-            return b"H" + bytes((message.controller, message.version)) + message.course
-        case Command():
-            return b"O" + bytes((_ORDERS.index(message.order),))
-        case Remark():
-            text = message.text.encode()
-            if len(text) >= MAX_PACKET:
-                raise ValueError(f"remark of {len(text)} bytes, expected less than {MAX_PACKET}")
-            return b"T" + text
-        case Snapshot():
-            numbers = message[:_NUMBERS]
-            return _SNAPSHOT.pack(b"S", *numbers, _MODES.index(message.mode)) + message.text.encode()[:2000]
-        case Refused():
-            return b"E" + message.why.encode()[:2000]
-    letter = _LETTERS[type(message)]
-    numbers = message.numbers if isinstance(message, Estimates) else message
-    return _LAYOUTS[letter][1].pack(letter, *numbers)
+    """A message as a packet: a JSON list of its kind and its fields; raises ValueError for one that is too long."""
+    fields: list[Any] = [*message]
+    if isinstance(message, Snapshot | Refused):  # the last field is a text for people
+        fields[-1] = fields[-1][:2000]
+    packet = json.dumps([type(message).__name__, *fields]).encode()
+    if len(packet) > MAX_PACKET:
+        raise ValueError(f"{type(message).__name__} of {len(packet)} bytes, expected at most {MAX_PACKET}")
+    return packet
 
 
 def decode(packet: bytes) -> Message:
-    """The message in a packet; raises ValueError for anything that `encode` did not write."""
+    """The message in a packet; raises ValueError for what is none."""
     try:
-        match packet[:1]:
-            case b"H" if len(packet) >= 3:  # of any version, so that an old client is refused with a reason
-                return Hello(bool(packet[1]), packet[2], packet[3:11].ljust(8, b"\0"))
-            case b"O" if len(packet) == 2:
-                return Command(_ORDERS[packet[1]])
-            case b"T":
-                return Remark(packet[1:].decode(errors="replace"))
-            case b"S":
-                numbers = _SNAPSHOT.unpack_from(packet)[1:]
-                text = packet[_SNAPSHOT.size :].decode(errors="replace")
-                return Snapshot._make((*numbers[:-1], _MODES[numbers[-1]], text))
-            case b"E":
-                return Refused(packet[1:].decode(errors="replace"))
-            case letter if letter in _LAYOUTS:
-                kind, layout = _LAYOUTS[letter]
-                numbers = layout.unpack(packet)[1:]
-                message: Message = kind(numbers) if kind is Estimates else kind(*numbers)
-                return message
-    except (struct.error, IndexError) as error:
-        raise ValueError(f"packet {packet[:1]!r} of {len(packet)} bytes: {error}") from error
-    raise ValueError(f"packet {packet[:1]!r} of {len(packet)} bytes is not known")
+        name, *values = json.loads(packet)
+        fields = [_field(kind, value) for kind, value in zip(_FIELDS[name].values(), values, strict=True)]
+        message: Message = _KINDS[name](*fields)
+        return message
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
+        raise ValueError(f"packet {packet[:20]!r} of {len(packet)} bytes is not known: {error}") from error
+
+
+def _field(kind: Any, value: Any) -> Any:
+    """The value of a field of that type; raises ValueError, TypeError or OverflowError for another."""
+    if kind in (float, Mode, Order):
+        return kind(value)
+    if kind == tuple[float, ...]:
+        return tuple(float(number) for number, _ in zip(value, 3 * ESTIMATES, strict=True))
+    if type(value) is not kind:
+        raise TypeError(f"{value!r} is no {kind.__name__}")
+    return value

@@ -58,11 +58,11 @@ class Drive:
 def drives(recorded: Recorded) -> Iterator[Drive]:
     """The drives of a recording, one for each controller that was connected and asked for anything."""
     drive, link = Drive(), -1
-    for topic, values in recorded.messages:
+    for topic, values, *_ in recorded.messages:
         if topic == "/car":
             known = {k: v for k, v in values.items() if k in Snapshot._fields}
             drive.snapshots.append(Snapshot(**{**known, "mode": Mode(values["mode"])}))
-        elif topic == "/client" and "data" in values:
+        elif topic == "/client":
             match decode_or_none(values["data"]):
                 case Hello(controller=True):
                     if drive.requests:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
-from steerkit._support.errors import require
+from steerkit._support.errors import check_numbers, number, require
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.task import STOP
 
@@ -44,75 +44,73 @@ class Order(StrEnum):
 class StateLimits:
     """When the car may be engaged, and what ends it. Ages count from the frame's arrival."""
 
-    report_age: float = 0.1
+    report_age: float = number(0.1, "s", low=0.02, high=0.15)
     """Oldest report of the kit [s]."""
-    pose_age: float = 0.15
+    pose_age: float = number(0.15, "s", low=0.02, high=0.15)
     """Oldest pose [s]."""
-    request_age: float = 0.075
+    request_age: float = number(0.075, "s", low=0.052, high=0.09)
     """Oldest request that is still sent [s]."""
-    request_lost: float = 0.15
+    request_lost: float = number(0.15, "s", low=0.06, high=0.3)
     """Age of a request from which the controller counts as lost [s]."""
-    e_max: float = 2.0
+    e_max: float = number(2.0, "m", low=0.1, high=5.0)
     """|e| that ends driving [m]."""
-    v_max: float = 10.0
+    v_max: float = number(10.0, "m/s", low=0.5, high=40.0)
     """Speed that ends driving [m/s]."""
-    v_mismatch: float = 1.0
+    v_mismatch: float = number(1.0, "m/s", low=0.1, high=3.0)
     """Largest difference between the two speeds [m/s]."""
-    torque_max: float = 2.5
+    torque_max: float = number(2.5, "N m", low=0.3, high=10.0)
     """The human's torque at the wheel that counts as a touch [N m]."""
-    torque_reports: int = 3
+    torque_reports: int = number(3, low=1, high=10)
     """Reports in a row with such a torque that count as an override."""
-    integrity_errors: int = 2
+    integrity_errors: int = number(2, low=1, high=10)
     """CRC, counter and value errors within a second that end driving."""
-    misses: int = 3
+    misses: int = number(3, low=1, high=20)
     """Missed deadlines of the controller within a second that end driving."""
-    lateness: float = 0.05
+    lateness: float = number(0.05, "s", low=0.005, high=0.1)
     """Largest delay of the car server itself [s]."""
-    quality: float = 1.0
+    quality: float = number(1.0, low=0.5, high=100.0)
     """Least quality of the pose [1]."""
-    echo_age: float = 0.12
+    echo_age: float = number(0.12, "s", low=0.03, high=0.5)
     """How old the command may be that the kit reports [s]."""
-    follow_angle: float = radians_of(40.0)
+    follow_angle: float = number(radians_of(40.0), "rad", low=radians_of(5.0), high=radians_of(120.0))
     """Largest |command - measured| while driving [rad] ..."""
-    follow_time: float = 0.3
+    follow_time: float = number(0.3, "s", low=0.1, high=2.0)
     """... for so long [s]."""
-    enable_time: float = 0.3
+    enable_time: float = number(0.3, "s", low=0.05, high=2.0)
     """How long the kit may take to report that it is enabled [s]."""
-    e_engage: float = 0.5
+    e_engage: float = number(0.5, "m", low=0.05, high=2.0)
     """Largest |e| to engage at [m]."""
-    psi_e_engage: float = radians_of(15.0)
+    psi_e_engage: float = number(radians_of(15.0), "rad", low=radians_of(1.0), high=radians_of(60.0))
     """Largest |psi_e| to engage at [rad]."""
-    delta_engage: float = radians_of(20.0)
+    delta_engage: float = number(radians_of(20.0), "rad", low=radians_of(1.0), high=radians_of(90.0))
     """Largest |request - measured| to engage at [rad]."""
-    v_engage_min: float = 0.5
+    v_engage_min: float = number(0.5, "m/s", low=0.1, high=20.0)
     """Slowest speed to engage at [m/s]."""
-    v_engage_max: float = 9.0
+    v_engage_max: float = number(9.0, "m/s", low=0.2, high=40.0)
     """Fastest speed to engage at [m/s]."""
-    delta_sw_max: float = STOP
+    delta_sw_max: float = number(STOP, "rad", low=radians_of(5.0), high=STOP)
     """Largest |request| [rad]; more is a broken controller."""
-    psi_e_max: float = radians_of(45.0)
+    psi_e_max: float = number(radians_of(45.0), "rad", low=radians_of(5.0), high=radians_of(90.0))
     """|psi_e| that ends driving [rad]."""
-    e_growth: float = 1.5
+    e_growth: float = number(1.5, "m", low=0.2, high=2.0)
     """Largest growth of |e| within a second while driving [m]."""
-    v_reverse: float = 0.15
+    v_reverse: float = number(0.15, "m/s", low=0.05, high=1.0)
     """Speed backwards that ends driving [m/s]."""
-    v_still: float = 0.2
+    v_still: float = number(0.2, "m/s", low=0.05, high=1.0)
     """Speed below which the car stands [m/s] ..."""
-    still_time: float = 1.0
+    still_time: float = number(1.0, "s", low=0.2, high=5.0)
     """... and after so long driving ends, without a fault [s]."""
-    heartbeat: float = 0.3
+    heartbeat: float = number(0.3, "s", low=0.15, high=0.5)
     """How long an operator's panel may be silent [s]."""
-    end_margin: float = 5.0
+    end_margin: float = number(5.0, "m", low=0.5, high=50.0)
     """How far before the end of an open course driving ends [m]."""
-    end_warning: float = 5.0
+    end_warning: float = number(5.0, "s", low=1.0, high=20.0)
     """How long before that the operator is warned [s]."""
-    foreign_enable: float = 0.3
+    foreign_enable: float = number(0.3, "s", low=0.1, high=1.0)
     """How long the kit may be enabled while we are not [s]."""
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            require(0.0 < value < math.inf, "StateLimits", f"{name} = {value}, expected a finite number > 0")
+        check_numbers(self, "StateLimits")
         ok = self.request_age < self.request_lost and self.v_engage_min < self.v_engage_max <= self.v_max
         require(ok, "StateLimits", "expected request_age < request_lost and v_engage_min < v_engage_max <= v_max")
 

@@ -202,11 +202,11 @@ def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     series: dict[str, list[tuple[float, float]]] = {}
     bad = 0
     for frame in recorded.of("/can/rx"):
-        reader = readers.get(frame["id"])
+        reader = readers.get(frame["frame_id"])
         if reader is None:
             continue
-        checked = reader.read(bytes.fromhex(frame["data"]), counters[frame["id"]])
-        counters[frame["id"]] = checked.counter
+        checked = reader.read(bytes.fromhex(frame["data"]), counters[frame["frame_id"]])
+        counters[frame["frame_id"]] = checked.counter
         if checked.error or not all(np.isfinite(v) for v in checked.values.values()):
             bad += 1
             continue

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import require, require_within
+from steerkit._support.errors import number, require, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
@@ -245,17 +245,17 @@ def slewed(car: Any, v: Scalar) -> Scalar:
 class GateLimits:
     """What the gate before the bus lets through to the steering wheel; each limit is a bound that no request moves."""
 
-    delta_sw_max: float = STOP
+    delta_sw_max: float = number(STOP, "rad", low=radians_of(5.0), high=STOP)
     """Largest |delta_sw| [rad]."""
-    rate_max: float = radians_of(550.0)
+    rate_max: float = number(radians_of(550.0), "rad/s", low=radians_of(10.0), high=radians_of(1000.0))
     """Fastest change of delta_sw [rad/s]."""
-    a_y_max: float = A_Y_MAX
+    a_y_max: float = number(A_Y_MAX, "m/s^2", low=0.2, high=5.0)
     """|kappa| <= a_y_max/v^2 [m/s^2]."""
-    jerk_max: float = JERK_MAX
+    jerk_max: float = number(JERK_MAX, "m/s^3", low=0.2, high=10.0)
     """|dkappa/dt| <= jerk_max/v^2 [m/s^2 per s]."""
-    v_floor: float = 1.0
+    v_floor: float = number(1.0, "m/s", low=0.5, high=5.0)
     """Slowest speed that the two bounds are computed for [m/s]."""
-    v_max: float = 12.0
+    v_max: float = number(12.0, "m/s", low=0.5, high=40.0)
     """Speed assumed when one of the sources is no number [m/s]."""
     steer_ratio: float = 15.6
     """Steering-wheel angle over road-wheel angle [1]."""
@@ -265,9 +265,9 @@ class GateLimits:
     """Centre of gravity to rear axle [m]: while kappa grows the centre is swung aside, which adds to a_y."""
     quantum: float = radians_of(0.1)
     """Resolution of the angle on the bus [rad]."""
-    dt_min: float = 0.01
+    dt_min: float = number(0.01, "s", low=0.004, high=0.02)
     """Shortest time between two frames [s]: the cap on the message rate."""
-    dt_max: float = 0.06
+    dt_max: float = number(0.06, "s", low=0.02, high=0.1)
     """Longest time that a change may be spread over [s]: a pause earns no jump."""
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ def config() -> CarConfig:
 
 
 messages = st.one_of(
-    st.builds(Hello, st.booleans(), st.sampled_from([1, 2, 3]), st.binary(min_size=8, max_size=8)),
+    st.builds(Hello, st.booleans(), st.sampled_from([1, 2, 3, 4]), st.text(max_size=8)),
     st.just(Beat()),
     st.just(Query()),
     st.builds(Command, st.sampled_from(Order)),

@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 from steerkit.car import recording as recordings
 from steerkit.car.core import RecordingFault
 from steerkit.car.protocol import VERSION
-from steerkit.car.recording import Contents, RecordingFile, contents
+from steerkit.car.recording import Recorded, RecordingFile, parse
 from steerkit.car.state_machine import Mode
 from tests.support.car_world import World, setup
 
@@ -34,29 +34,44 @@ def small() -> bytes:
         world.until(world.t + 0.1)
         recorder.close()
         assert not recorder.failed
-        return chunked(contents((Path(folder) / "raw.mcap").read_bytes()), Path(folder) / "small.mcap").read_bytes()
+        return chunked(recordings.read(recorder.file), Path(folder) / "small.mcap").read_bytes()
 
 
 @cache
 def brief() -> bytes:
     """The first 100 messages, with a shorter description: for what is read a thousand times."""
     with TemporaryDirectory() as folder:
-        found = contents(small())
-        assert found.description is not None
-        text = {"file:config.toml": found.description["file:config.toml"][:2000], "protocol": str(VERSION)}
+        found = parse(small())
+        text = {"file:config.toml": found.metadata["file:config.toml"][:2000], "protocol": str(VERSION)}
         return chunked(found, Path(folder) / "brief.mcap", text, 100).read_bytes()
 
 
-def chunked(found: Contents, file: Path, description: dict[str, str] | None = None, count: int | None = None) -> Path:
+def chunked(found: Recorded, file: Path, description: dict[str, str] | None = None, count: int | None = None) -> Path:
     """The same messages in a new file, LINES to a chunk."""
-    recorder = RecordingFile(file, found.description or {} if description is None else description)
-    lines = [line for chunk in found.chunks for line in chunk.lines][:count]
-    for k, line in enumerate(lines, 1):
-        recorder.add(line.topic, line.when, line.data)
+    recorder = RecordingFile(file, found.metadata if description is None else description, found.messages[0].when)
+    for k, message in enumerate(found.messages[:count], 1):
+        recorder.add(message.topic, message.when, message.data)
         if k % LINES == 0:
             recorder.flush()
     recorder.close()
     return file
+
+
+class Chunk(NamedTuple):
+    """An intact chunk: where it begins and ends, and its messages."""
+
+    begin: int
+    end: int
+    messages: list[recordings.Message]
+
+    def __repr__(self) -> str:
+        return f"{[message[2:] for message in self.messages]}"
+
+
+def chunks_of(data: bytes) -> list[Chunk]:
+    """The intact chunks of a file's messages, in order."""
+    pieces = (Chunk(*piece) for piece in recordings._pieces(data))
+    return [piece for piece in pieces if piece.messages and piece.messages[0].topic != recordings.DESCRIPTION]
 
 
 def flipped(data: bytes, bit: int) -> bytes:

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from steerkit.car.config import ANGLES, BOUNDS, DERIVED, ConfigError, bus_of, course_of, load, loaded, shipped
-from steerkit.car.gate import GateLimits
-from steerkit.car.motion import MotionLimits
+from steerkit.car.config import LIMITS, ConfigError, bus_of, course_of, load, loaded, shipped
 from steerkit.car.senses import Senses
-from steerkit.car.state_machine import StateLimits
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.paths.courses import course
 from steerkit.vehicles import VW_PASSAT
@@ -73,11 +69,11 @@ MISTAKES = [
     ("[bus] channel = True", 'channel = "/dev/ttyACM0" -> channel = true'),
     ("[bus] bitrate = 'fast', expected a whole number", 'bitrate = 500000 -> bitrate = "fast"'),
     ("did you mean 'course'", "[course] -> [curse]"),
-    ("driver: not known; did you mean 'server'", "[server] -> [driver]"),
+    ("table 'driver' is not known (did you mean 'server'?)", "[server] -> [driver]"),
     ("poes.dbc: no such file", '"pose.dbc"] -> "poes.dbc"]'),
     ("did you mean 'vw-passat'", 'name = "vw-passat" -> name = "vw-pasat"'),
-    ("STEERING_REPORT has no signal 'ANGEL'; did you mean 'ANGLE'", 'signal = "ANGLE" -> signal = "ANGEL"'),
-    ("[read.psi] frame = 'POSE'", 'frame = "POSE_MOTION", signal = "PSI" -> frame = "POSE", signal = "PSI"'),
+    ("signal of STEERING_REPORT 'ANGEL' is not known (did you mean 'ANGLE'?)", 'signal = "ANGLE" -> signal = "ANGEL"'),
+    ("[read.psi] frame 'POSE' is not known", 'frame = "POSE_MOTION", signal = "PSI" -> frame = "POSE", signal = "PSI"'),
     ("'deg' for v_kit, expected one of 'm/s'", 'signal = "VEH_VEL" } -> signal = "VEH_VEL", unit = "deg" }'),
     ("sign = 2, expected 1 or -1", 'signal = "ANGLE" } -> signal = "ANGLE", sign = 2 }'),
     ("expected scale > 0", 'signal = "ANGLE" } -> signal = "ANGLE", scale = -1 }'),
@@ -104,7 +100,7 @@ MISTAKES = [
     ("expected 0.052 to 0.09", "e_max = 2.0 -> request_age = 0.2"),
     ("v_engage_min < v_engage_max <= v_max", "v_engage_max = 9.0 -> v_engage_max = 11.0"),
     ("TOML", 'signal = "CMD" } -> signal = "CMD" }\nx = { frame = "STEERING_REPORT", signal = "RES" }'),
-    ("there is no", 'name = "paper" -> file = "nowhere.csv"\nclosed = true'),
+    ("[course] file = 'nowhere.csv': ", 'name = "paper" -> file = "nowhere.csv"\nclosed = true'),
     ("give either name, such as 'paper', or file", 'name = "paper" -> '),
     ("did you mean 'faults'", "[read.faults] -> [read.fault]"),
     ("delta_sw_max_deg = 520 is more than SCMD", "(0.1,0) [-3276.7|3276.7] -> (0.1,0) [-400|400]"),
@@ -262,42 +258,30 @@ def test_a_vehicle_file_beside_the_configuration_is_read_and_recorded(tmp_path: 
     assert "my-car.toml" in config.texts
 
 
-DEFAULTS = {
-    f"{f.name}_deg" if f.name in ANGLES else f.name: degrees_of(f.default) if f.name in ANGLES else f.default
-    for kind in (GateLimits, StateLimits, MotionLimits)
-    for f in fields(kind)
-    if f.name not in DERIVED
-}
-
-
-def test_no_limit_is_without_bounds_and_no_bounds_without_a_limit() -> None:
-    assert BOUNDS.keys() == DEFAULTS.keys()
+def in_file(key: str) -> tuple[float, float, float]:
+    """A limit's default and its bounds, as the file gives them."""
+    _, low, high, _ = LIMITS[key].metadata["number"]
+    values = (LIMITS[key].default, low, high)
+    return tuple(map(degrees_of, values)) if key.endswith("_deg") else values
 
 
 def test_no_bound_and_no_limit_moves_by_accident() -> None:
     """Golden sums: whoever changes a safety limit on purpose changes them too."""
-    sums = [math.fsum(values) for values in (*zip(*BOUNDS.values()), DEFAULTS.values())]
-    assert sums == pytest.approx([37.616, 2275.36, 1258.162549354157], rel=1e-9)
+    sums = [math.fsum(values) for values in zip(*map(in_file, LIMITS))]
+    assert sums == pytest.approx([1258.162549354157, 37.616, 2275.36], rel=1e-9)
+    assert len(LIMITS) == 46
 
 
-@pytest.mark.parametrize("key", BOUNDS)
-def test_the_default_lies_between_them(key: str) -> None:
-    low, high = BOUNDS[key]
-    assert low <= DEFAULTS[key] * (1.0 + 1e-12)
-    assert DEFAULTS[key] <= high * (1.0 + 1e-12)
-    assert 0.0 < low < high
-
-
-@pytest.mark.parametrize("key", BOUNDS)
-@pytest.mark.parametrize("side", [0, 1])
-def test_beyond_them_a_file_is_refused(key: str, side: int, tmp_path: Path) -> None:
-    value = BOUNDS[key][side] * (0.9, 1.1)[side]
-    whole = isinstance(BOUNDS[key][0], int)
-    number = f"{[0, 99][side]}" if whole else f"{value!r}"
+@pytest.mark.parametrize("key", LIMITS)
+def test_beyond_its_bounds_a_limit_is_refused(key: str, tmp_path: Path) -> None:
+    default, low, high = in_file(key)
+    assert 0.0 < low <= default * (1.0 + 1e-12) <= high * (1.0 + 2e-12)
+    numbers = ("0", "99") if isinstance(LIMITS[key].default, int) else (f"{0.9 * low!r}", f"{1.1 * high!r}")
     file = tmp_path / "car.toml"
-    file.write_text(f"{TEXT.split('[limits]')[0]}[limits]\n{key} = {number}\n")
-    with pytest.raises(ConfigError, match=rf"\[limits\] {key} = .*, expected "):
-        load(file)
+    for number in numbers:
+        file.write_text(f"{TEXT.split('[limits]')[0]}[limits]\n{key} = {number}\n")
+        with pytest.raises(ConfigError, match=rf"\[limits\] {key} = .*, expected "):
+            load(file)
 
 
 SLCAN = {"interface": "slcan", "bitrate": 500000, "sleep_after_open": 0.0}

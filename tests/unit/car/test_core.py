@@ -227,7 +227,7 @@ def test_the_request_goes_with_its_controller_and_there_is_one() -> None:
     facts = core.facts(5.1)
     assert (facts.connected, facts.request_age) == (False, math.inf)
     core.handle(Link(5.2, 3, True))
-    assert "another course" in refusals(core, 5.2, 3, Hello(True, course=b"elsewher"))[0]
+    assert "another course" in refusals(core, 5.2, 3, Hello(True, course="elsewhere"))[0]
     assert refusals(core, 5.2, 3, Hello(True)) == []
 
 

@@ -211,7 +211,7 @@ def test_limits_are_checked(field: str) -> None:
         with pytest.raises(ValueError, match=field):
             StateLimits(**{field: value})
     assert StateLimits(v_engage_max=10.0).v_max == 10.0
-    for values in ({"request_age": 0.15}, {"v_engage_min": 9.0}, {"v_engage_max": 10.01}):
+    for values in ({"request_lost": 0.075}, {"v_engage_min": 9.0}, {"v_engage_max": 10.01}):
         with pytest.raises(ValueError, match="request_age < request_lost and v_engage_min < v_engage_max <= v_max"):
             StateLimits(**values)
 

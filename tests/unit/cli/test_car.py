@@ -10,10 +10,9 @@ import pytest
 
 from steerkit.car import recording as recordings
 from steerkit.car.config import shipped
-from steerkit.car.recording import contents
 from steerkit.car.server import CarServer
 from tests.support import command_lines
-from tests.support.recordings import LINES, flipped, small
+from tests.support.recordings import LINES, chunks_of, flipped, small
 
 
 def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
@@ -101,7 +100,7 @@ def test_a_damaged_recording_is_repaired_into_a_new_file_with_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, words = tmp_path / "drive.mcap", ("--controller", "stanley")
-    hurt = flipped(small(), 8 * (contents(small()).chunks[-2].begin + 300))
+    hurt = flipped(small(), 8 * (chunks_of(small())[-2].begin + 300))
     file.write_bytes(hurt)
     assert run("replay", str(file), *words, monkeypatch=monkeypatch) == 1
     printed = capsys.readouterr().out
