@@ -82,22 +82,16 @@ def identify(
         save(identified.plot(prediction), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if as_json:
-        print(json.dumps(figures(identified, prediction)))
-
-
-def figures(identified: Any, prediction: Any) -> dict[str, Any]:
-    """What a program would read."""
-    fits = {}
-    for name, part in (("fit", identified.fit), ("held_out", prediction)):
-        if part is not None:
-            fits[name] = {"drive": part.drive.name} | {key: getattr(part, key) for key in _FITS}
-    return {
-        "vehicle": identified.vehicle.name,
-        "estimates": identified.intervals,
-        "correlation_time": identified.correlation_time,
-        "notes": [*identified.drive.notes, *identified.notes],
-        **fits,
-    }
+        fits = {"fit": identified.fit} | ({"held_out": prediction} if prediction else {})
+        answer = {
+            "vehicle": identified.vehicle.name,
+            "estimates": identified.intervals,
+            "correlation_time": identified.correlation_time,
+            "notes": [*identified.drive.notes, *identified.notes],
+        }
+        for word, fit in fits.items():
+            answer[word] = {"drive": fit.drive.name} | {key: getattr(fit, key) for key in _FITS}
+        print(json.dumps(answer))
 
 
 def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> None:

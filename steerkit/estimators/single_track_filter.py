@@ -73,7 +73,7 @@ class SingleTrackFilter(Block):
     offset_deviation, disturbance, disturbance_deviation, total_offset, total_offset_deviation [rad], rate_zero,
     rate_zero_deviation [rad/s]; ratio_valid, understeer_valid, offset_valid, disturbance_valid, total_offset_valid,
     rate_zero_valid [1]: the deviation is at most 3 %, a quarter of the prior's, 0.25 degrees, half of its own, 0.35
-    degrees, 0.001 rad/s; r_model [rad/s], what it expects of this sample's gyro; missing [1], 1 if one but psi was.
+    degrees, 0.001 rad/s; missing [1], 1 if a number of the last sample but psi was.
     A sample is used where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
     State: filters, a delay line, the six numbers, P's upper triangle. Raises ValueError for parameters out of range.
 
@@ -95,7 +95,6 @@ class SingleTrackFilter(Block):
     rate_zero, rate_zero_deviation, rate_zero_valid = estimate_ports("rad/s")
     disturbance, disturbance_deviation, disturbance_valid = estimate_ports("rad")
     total_offset, total_offset_deviation, total_offset_valid = estimate_ports("rad")
-    r_model = Out("rad/s", direct=())
     missing = Out("1", direct=())
 
     vehicle: Vehicle
@@ -175,7 +174,7 @@ class SingleTrackFilter(Block):
             for value, deviation, most in found
             for entry in (value, deviation, m.where(deviation <= most, 1.0, 0.0))
         ]
-        return self.Y(*flat, self._expected(numbers, x[4], x[15], x[1])[0], x[2])
+        return self.Y(*flat, x[2])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         p, dt = self.vehicle, self.dt

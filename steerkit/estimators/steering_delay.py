@@ -73,7 +73,7 @@ class DelayBank(Bank):
     deviations grow by that.
 
     A sample is used where all is finite, v is 3 m/s or more, and for longest + 4 L0 + 0.3 s the commands have acted:
-    `active` was 1, |delta_sw_cmd| at most `limit`, no faster than `rate_limit`. Else nothing changes or is forgotten.
+    `active` was 1, |delta_sw_cmd| at most the stop, no faster than `rate_limit`. Else nothing changes or is forgotten.
 
     Outputs, of state only: delay, delay_deviation, lag, lag_deviation, and of their sum delay_lag, delay_lag_deviation
     [s]; delay_valid, lag_valid, delay_lag_valid [1]; missing [1]: 1 where the last sample held a NaN. The sum is known
@@ -104,8 +104,6 @@ class DelayBank(Bank):
     memory: float = number(120.0, "s", low=1.0, high=1e6)
     enough: float = number(0.02, "s", low=1e-4, high=1.0)
     """Deviation from which on the sum is valid [s]."""
-    limit: float = number(STOP, "rad", low=1e-3, high=30.0)
-    """Largest command that is followed [rad]."""
     rate_limit: float = number(radians_of(550.0), "rad/s", low=1e-3, high=200.0)
     """Fastest command that is followed [rad/s]."""
 
@@ -133,7 +131,7 @@ class DelayBank(Bank):
         known = m.is_finite(u.delta_sw_cmd)
         command = m.where(known, u.delta_sw_cmd, before.command)
         turned = m.absolute(command - before.command)
-        calm = m.both(m.absolute(command) <= self.limit, turned <= self.rate_limit * self.dt)
+        calm = m.both(m.absolute(command) <= STOP, turned <= self.rate_limit * self.dt)
         acts = m.every(u.active > 0.5, known, calm, u.v >= SLOWEST)
         used = m.every(before.since * self.dt > self.longest + 4.0 * self.prior_lag + 0.3, read, acts)
         sums, moments = self._summed(

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from steerkit._support.errors import require, require_within
-from steerkit.identification.identified import Estimate, Identified, Simulator, car_of, predict, stiffnesses
+from steerkit.identification.identified import Estimate, Identified, Simulator, predict, stiffnesses
 from steerkit.logs.drive import Array, Drive, moments
 from steerkit.vehicles import Vehicle, vehicle
 
@@ -82,8 +82,10 @@ def identify(
     covariance, blocks = problem.covariance(theta, sigma)
     values = problem.held | dict(zip(problem.free, theta.tolist()))
     estimates = problem.estimates(values, covariance, blocks)
+    c_f, c_r = map(float, stiffnesses(base, values["d_f"], values["d_r"]))
+    found = {"name": name or f"{base.name}-identified", "steer_ratio": values["steer_ratio"], "c_f": c_f, "c_r": c_r}
     return Identified(
-        vehicle=car_of(base, values, name or f"{base.name}-identified"),
+        vehicle=replace(base, **found),
         estimates=estimates,
         drive=drive,
         base=base,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -182,14 +182,53 @@ class Identified:
         write_text(file, self.text(command=command, held_out=held_out))
 
     def plot(self, held_out: Prediction | None = None) -> Any:
-        """Measured and predicted yaw rate and the residuals, as a matplotlib figure."""
-        return residuals(self, held_out)
+        """Yaw rate, residual and speed over time, the held-out drive after the fitted one; beside them a scatter plot.
 
-
-def car_of(base: Vehicle, theta: dict[str, float], name: str) -> Vehicle:
-    """The base with what was found."""
-    c_f, c_r = stiffnesses(base, theta["d_f"], theta["d_r"])
-    return replace(base, name=name, steer_ratio=theta["steer_ratio"], c_f=float(c_f), c_r=float(c_r))
+        A matplotlib figure.
+        """
+        parts = [(self.fit, "fitted", COLOURS["learned"])]
+        if held_out is not None:
+            parts.append((held_out, "held out", COLOURS["analytic"]))
+        pause = _PAUSE * sum(part.drive.t[-1] for part, _, _ in parts)
+        with style():
+            title = f"{self.vehicle.name}: yaw rate from steering wheel and speed alone"
+            figure, (cloud, rate, left, speed) = new_figure(3, map_beside=True, title=title)
+            start = 0.0
+            for part, word, colour in parts:
+                drive = part.drive
+                t = start + drive.t
+                hidden = ~drive.measured
+                measured, error = np.where(hidden, np.nan, drive.r), np.where(hidden, np.nan, drive.r - part.r)
+                rate.plot(t, measured, color=COLOURS["muted"], lw=2.2, alpha=0.7, label=None if start else "measured")
+                rate.plot(t, part.r, color=colour, lw=0.8, label=f"predicted, {word}")
+                left.plot(t, 1e3 * error, color=colour, lw=0.6, label=f"{word}: RMS {1e3 * part.rms:.2f} mrad/s")
+                speed.plot(t, drive.v, color=colour, lw=1.0)
+                use = drive.driving
+                cloud.plot(drive.r[use], part.r[use], ".", color=colour, ms=1.2, alpha=0.5, rasterized=True)
+                start = t[-1] + pause
+            if held_out is not None:
+                again = f"zero of the wheel found again: {1e3 * held_out.rms_rezeroed:.2f} mrad/s"
+                left.plot([], [], " ", label=again)
+            reach = 1.05 * max(float(np.abs(part.drive.r).max()) for part, _, _ in parts)
+            cloud.plot([-reach, reach], [-reach, reach], color=COLOURS["ink"], lw=0.6)
+            cloud.set(
+                aspect="equal",
+                xlabel="measured yaw rate [rad/s]",
+                ylabel="predicted yaw rate [rad/s]",
+                xlim=(-reach, reach),
+                ylim=(-reach, reach),
+            )
+            left.axhline(0.0, color=COLOURS["ink"], lw=0.6)
+            rate.set_ylabel("yaw rate [rad/s]")
+            left.set_ylabel("measured - predicted\n[mrad/s]")
+            speed.set(ylabel="speed [m/s]", xlabel="t [s], one drive after the other" if held_out else "t [s]")
+            speed.set_ylim(bottom=0.0)
+            for axis in (rate, left):
+                axis.legend(loc="lower right", ncols=3, fontsize=7, handlelength=1.2, columnspacing=1.2)
+                low, high = axis.get_ylim()
+                axis.set_ylim(low - 0.22 * (high - low), high)
+            rate.margins(x=0.01)
+            return figure
 
 
 def predict(simulator: Simulator, theta: dict[str, float]) -> Prediction:
@@ -213,51 +252,3 @@ def predict(simulator: Simulator, theta: dict[str, float]) -> Prediction:
         rms_rezeroed=moments((error - shift * slope)[later])[0],
         zero_shift=shift,
     )
-
-
-def residuals(identified: Identified, held_out: Prediction | None = None) -> Any:
-    """Yaw rate, residual and speed over time, the held-out drive after the fitted one; beside them a scatter plot."""
-    fit = identified.fit
-    parts = [(fit, "fitted", COLOURS["learned"]), *([(held_out, "held out", COLOURS["analytic"])] if held_out else [])]
-    ends: list[float] = []
-    with style():
-        figure, (cloud, rate, left, speed) = new_figure(
-            3, map_beside=True, title=f"{identified.vehicle.name}: yaw rate from steering wheel and speed alone"
-        )
-        start = 0.0
-        for part, word, colour in parts:
-            drive = part.drive
-            t = start + drive.t
-            hidden = ~drive.measured
-            measured, error = np.where(hidden, np.nan, drive.r), np.where(hidden, np.nan, drive.r - part.r)
-            rate.plot(t, measured, color=COLOURS["muted"], lw=2.2, alpha=0.7, label=None if ends else "measured")
-            rate.plot(t, part.r, color=colour, lw=0.8, label=f"predicted, {word}")
-            left.plot(t, 1e3 * error, color=colour, lw=0.6, label=f"{word}: RMS {1e3 * part.rms:.2f} mrad/s")
-            speed.plot(t, drive.v, color=colour, lw=1.0)
-            use = drive.driving
-            cloud.plot(drive.r[use], part.r[use], ".", color=colour, ms=1.2, alpha=0.5, rasterized=True)
-            ends.append(t[-1])
-            start = t[-1] + _PAUSE * sum(p.drive.t[-1] for p, _, _ in parts)
-        if held_out is not None:
-            moved = f"zero of the wheel found again: {1e3 * held_out.rms_rezeroed:.2f}"
-            left.plot([], [], " ", label=f"{moved} mrad/s")
-        reach = 1.05 * max(float(np.abs(part.drive.r).max()) for part, _, _ in parts)
-        cloud.plot([-reach, reach], [-reach, reach], color=COLOURS["ink"], lw=0.6)
-        cloud.set(
-            aspect="equal",
-            xlabel="measured yaw rate [rad/s]",
-            ylabel="predicted yaw rate [rad/s]",
-            xlim=(-reach, reach),
-            ylim=(-reach, reach),
-        )
-        left.axhline(0.0, color=COLOURS["ink"], lw=0.6)
-        rate.set_ylabel("yaw rate [rad/s]")
-        left.set_ylabel("measured - predicted\n[mrad/s]")
-        speed.set(ylabel="speed [m/s]", xlabel="t [s], one drive after the other" if held_out else "t [s]")
-        speed.set_ylim(bottom=0.0)
-        for axis in (rate, left):
-            axis.legend(loc="lower right", ncols=3, fontsize=7, handlelength=1.2, columnspacing=1.2)
-            low, high = axis.get_ylim()
-            axis.set_ylim(low - 0.22 * (high - low), high)
-        rate.margins(x=0.01)
-        return figure

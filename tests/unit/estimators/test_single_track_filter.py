@@ -180,13 +180,3 @@ def test_a_bank_is_an_offset_for_as_long_as_it_lasts() -> None:
     y, z = (block.output(0.0, state, ()) for state in (x, driven_fast(block, banked, x)))
     assert z.total_offset - y.total_offset == pytest.approx(radians_of(1.0), abs=radians_of(0.3))
     assert z.disturbance - y.disturbance > 3.0 * (z.offset - y.offset)
-
-
-def test_what_it_expects_of_the_gyro_comes_before_the_sample() -> None:
-    signals, x = drive(), driven_fast(BLOCK, drive())
-    errors = []
-    for k in range(400, 800):
-        errors.append(BLOCK.output(0.0, x, ()).r_model - signals["r"][k])
-        u = BLOCK.U(*[float(signals[port.name][k]) for port in BLOCK.inputs])
-        x = BLOCK.update(0.0, x, u, None)
-    assert float(np.sqrt(np.mean(np.square(errors[40:])))) < 0.002
