@@ -15,7 +15,7 @@ import pytest
 from rich import markup
 
 import steerkit
-from steerkit.cli import app as cli
+from steerkit.cli import app as command_line
 from steerkit.cli import demo
 from steerkit.learning.experiment import Experiment
 from steerkit.scenario import Scenario
@@ -33,21 +33,16 @@ CAR = ("--car", "dbw-kit.toml")
         (("learn", "--setting", "defualt"), "valid: default, paper"),
         (("learn", "--config", "/does/not/exist.toml"), "cannot be read"),
         (("learn", "--with", "fit.nest=3"), "no 'nest' there; valid: discount, epochs"),
-        (("show", "/"), "no run directory"),
         (("drive",), "with which controller? valid: stanley"),
         (("drive", "stanley", "--controller", "nfq"), "two controllers, 'stanley' and --controller nfq"),
         (("drive", "nfq", "--course", "circle"), "there is no runs/default-circle-clean-seed0"),
         (("drive", "stanley", "--minutes", "2"), "--minutes is for a car; name its file: --car dbw-kit.toml"),
-        (("drive", "stanley", "--time-scale", "2"), "--time-scale is for a car"),
         (("learn", "--simulated"), "--simulated is for a car"),
-        (("learn", "--recovery", "stanley"), "--recovery is for a car"),
         (("drive", "stanley", *CAR, "--rounds", "2"), "--rounds is for simulations: say --minutes"),
-        (("drive", "stanley", *CAR, "--seed", "2"), "--seed is for simulations"),
         (("learn", *CAR, "--course", "paper"), "the car's file names the course, under [course]"),
         (("learn", *CAR, "--conditions", "hard"), "a car brings its own noise"),
         (("learn", *CAR, "--live"), "--live is for simulations: the panel shows it"),
         (("show", "a"), "a is no run directory"),
-        (("learn", *CAR, "--setting", "defualt"), "valid: default, paper"),
         (("drive", *CAR), "with which controller? valid: stanley"),
         (("drive", "stanly", *CAR), "nor a place with a trained policy; valid: stanley"),
         (("drive", "nfq", *CAR), "no net in runs/car; learn one first: steerkit learn --car FILE"),
@@ -62,38 +57,36 @@ CAR = ("--car", "dbw-kit.toml")
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(
-    words: tuple[str, ...],
-    says: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.mcap").touch()
-    assert run(*words, monkeypatch=monkeypatch) == 2
-    error = capsys.readouterr().err.strip()
+    error = cli(*words, code=2).err.strip()
     assert says in error
     assert len(error.splitlines()) == 1
 
 
-def test_help_and_courses(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    for words in ((), ("--help",), ("learn", "--help"), ("courses",)):
-        assert run(*words, monkeypatch=monkeypatch) in (0, 2)
-    out = capsys.readouterr().out
-    assert all(word in out for word in ("learn", "drive", "show", "demo", "--seed", "--config", "genesis"))
-
-
-def test_a_full_disk_is_told_with_what_is_kept_and_is_no_mistake_of_the_users(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("error", "code", "says"),
+    [
+        (
+            OSError(errno.ENOSPC, "No space left on device", "s.npz"),
+            1,
+            "s.npz: No space left on device; the run is kept",
+        ),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_a_run_that_ends_early_says_how_to_go_on(
+    error: BaseException, code: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any
 ) -> None:
-    def written(*_: Any, **__: Any) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "run" / "state-3.npz"))
+    def ended(*_: Any, **__: Any) -> None:
+        raise error
 
-    monkeypatch.setattr("steerkit.learning.report.learn_with_progress", written)
-    assert run("learn", "--out", str(tmp_path / "run"), "-q", monkeypatch=monkeypatch) == 1
-    error = capsys.readouterr().err.strip()
-    assert f"{tmp_path}/run/state-3.npz: No space left on device; the run is kept up to its last training" in error
-    assert error.endswith(f"the same with --out {tmp_path}/run goes on from there")
+    monkeypatch.setattr("steerkit.learning.report.learn_with_progress", ended)
+    said = cli("learn", "--out", tmp_path / "run", "-q", code=code).err
+    assert says in said
+    assert f"the same with --out {tmp_path}/run goes on from the" in said
 
 
 def test_the_demonstration_names_the_car_and_the_time_in_every_line(
@@ -134,11 +127,10 @@ def test_python_m_steerkit_version_and_exit_codes() -> None:
     assert asked.stdout == ""
 
 
-def test_help_is_complete(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_is_complete(cli: Any) -> None:
     """Every command and every option says what it is for, nothing of it is taken for a colour's name in brackets and
     left out, and the first page has examples and exit codes."""
-    assert run("--help", monkeypatch=monkeypatch) == 0
-    page = capsys.readouterr().out
+    page = cli("--help").out
     assert all(word in page for word in ("Examples", "Exit codes", "NO_COLOR", "--install-completion", "--version"))
 
     def all_of(command: Any, name: str) -> None:
@@ -150,24 +142,21 @@ def test_help_is_complete(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
         for below, inner in getattr(command, "commands", {}).items():
             all_of(inner, f"{name} {below}")
 
-    all_of(cli.command(), "steerkit")
-    for name, (_, about) in cli.COMMANDS.items():
-        all_of(cli.loaded(name), name)
+    all_of(command_line.command(), "steerkit")
+    for name, (_, about) in command_line.COMMANDS.items():
+        all_of(command_line.loaded(name), name)
         assert about in page.replace("│", " ") or about[:40] in page, f"{name}: not on the first page"
 
 
 def test_the_examples_of_the_help_page_are_valid_commands() -> None:
-    lines = [re.split("  +", line.strip())[0].split()[1:] for line in cli.EPILOG.splitlines() if "  steerkit" in line]
+    lines = [
+        re.split("  +", line.strip())[0].split()[1:]
+        for line in command_line.EPILOG.splitlines()
+        if "  steerkit" in line
+    ]
     assert len(lines) == 7
     for words in lines:
         parsed(words)
-
-
-def test_no_color_leaves_out_colours() -> None:
-    """FORCE_COLOR asks rich for a terminal's output; colour codes are ESC[3x, ESC[9x and ESC[38;..., bold is ESC[1."""
-    colour = re.compile(r"\x1b\[(?:[0-9;]*;)?(?:3[0-8]|9[0-7])")
-    assert colour.search(finished("--help", FORCE_COLOR="1").stdout)
-    assert not colour.search(finished("--help", FORCE_COLOR="1", NO_COLOR="1").stdout)
 
 
 def test_completion_for_bash() -> None:
@@ -186,14 +175,3 @@ def test_an_interrupt_inside_code_made_from_text_ends_with_130_too(tmp_path: Pat
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120.0)
     assert done.returncode == 130, done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_an_interrupted_run_says_how_to_go_on_and_ends_with_130(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupted(*_: Any, **__: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("steerkit.learning.report.learn_with_progress", interrupted)
-    assert run("learn", "--out", str(tmp_path), monkeypatch=monkeypatch) == 130
-    assert f"the same with --out {tmp_path} goes on" in capsys.readouterr().err

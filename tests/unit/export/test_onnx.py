@@ -57,15 +57,6 @@ def test_the_model_says_what_the_block_says(policy: Any, tmp_path: Path) -> None
     assert differences.get("q", 0.0) <= 1e-14
 
 
-@pytest.mark.parametrize("combine", COMBINATIONS)
-def test_an_ensemble_is_combined_as_its_definition_says(combine: Any, tmp_path: Path) -> None:
-    """Two nets that are constant, 0.2 and 0.6: mean 0.4, largest 0.6, mean and standard deviation 0.4 + 0.2."""
-    nets = tuple((np.zeros((1, 7)), np.array([np.log(q / (1.0 - q))])) for q in (0.2, 0.6))
-    export_onnx(NfqPolicy(nets=nets, combine=combine), tmp_path / "p.onnx")
-    expected = {"mean": 0.4, "max": 0.6, "disagreement": 0.6}[combine]
-    assert ask(tmp_path / "p.onnx", [0.1] * 6)["q"] == pytest.approx(expected)
-
-
 def test_the_ways_to_combine_are_told_apart_by_the_check(tmp_path: Path) -> None:
     """Nets that disagree choose other actions by their mean, their largest, and their mean with the disagreement."""
     for policy in (replace(POLICIES[0], combine=combine) for combine in COMBINATIONS):
@@ -73,12 +64,6 @@ def test_the_ways_to_combine_are_told_apart_by_the_check(tmp_path: Path) -> None
         for other in COMBINATIONS:
             differences = check_onnx(replace(policy, combine=other), tmp_path / "p.onnx", states=2_000)
             assert (max(differences.values()) < 1e-6) == (other == policy.combine)
-
-
-def test_the_check_finds_another_policy(tmp_path: Path) -> None:
-    export_onnx(POLICIES[0], tmp_path / "p.onnx")
-    other = replace(POLICIES[0], nets=POLICIES[0].nets[:2])
-    assert check_onnx(other, tmp_path / "p.onnx")["q"] > 1e-3
 
 
 def test_the_check_tells_a_worse_action_and_lets_one_as_good_pass(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from steerkit._support import native
-from steerkit.compiled.trace import TraceError
 from steerkit.gym import TrackSteeringVector
 from steerkit.gym.episodes import Episodes, episode_code
 from steerkit.gym.task import Task
@@ -115,17 +114,8 @@ def test_arguments_are_checked() -> None:
         env.step([2, 2])
 
 
-def code_of(task: Task) -> str:
-    return episode_code(task)[0]
-
-
-def test_a_cost_that_cannot_be_traced_is_named() -> None:
-    with pytest.raises(TraceError, match="the cost cannot be run on symbols"):
-        code_of(Task(cost=Sorting()))
-
-
 def test_the_streams_of_random_numbers_are_those_of_the_blocks() -> None:
     """Of a clean car the human's alone; under hard conditions the sensors' too."""
-    one, two = (code_of(Task(conditions=conditions)) for conditions in ("clean", "hard"))
-    streams = [line for text in (one, two) for line in text.splitlines() if line.startswith("#define STREAMS")]
+    codes = [episode_code(Task(conditions=conditions))[0] for conditions in ("clean", "hard")]
+    streams = [line for code in codes for line in code.splitlines() if line.startswith("#define STREAMS")]
     assert [line.count(",") for line in streams] == [0, 1]

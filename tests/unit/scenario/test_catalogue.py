@@ -21,7 +21,6 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.catalogue import (
     CONTROLLERS,
     ELEMENTS,
-    RECOVERIES,
     DesignModel,
     make_controller,
     make_element,
@@ -64,12 +63,6 @@ def test_the_others_are_made_for_the_delay() -> None:
     assert waiting == {0.05: 1, 0.1: 2, 0.3: 6}
     look = make_controller("pure-pursuit", BELIEF).look_time  # type: ignore[attr-defined]
     assert look > make_controller("pure-pursuit", replace(BELIEF, delay=0.0)).look_time  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize("name", ["mpc", "nonlinear-mpc"])
-def test_an_mpc_leaves_the_motor_room_to_follow(name: str) -> None:
-    block: Any = make_controller(name, BELIEF)
-    assert block.rate_limit == type(block).rate_limit < BELIEF.rate_limit
 
 
 @pytest.mark.parametrize("name", ELEMENTS)
@@ -143,10 +136,6 @@ def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
 def test_what_cannot_be_made_says_what_can(ask: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ask()
-
-
-def test_only_controllers_that_catch_from_anywhere_are_recoveries() -> None:
-    assert RECOVERIES == ("auto", "adaptive", "stanley", "stanley-delay")
 
 
 def test_the_adapting_recovery_hears_what_others_steer_and_winds_up_nothing_meanwhile() -> None:

@@ -52,12 +52,6 @@ def test_fields_become_blocks() -> None:
     assert loop.inputs_of("controller")["delta_sw_meas"] == "column.delta_sw_meas"
 
 
-def test_controllers_believe_the_mean_of_a_delay_that_varies() -> None:
-    assert Scenario(
-        steering={"delay": 0.1, "delay_jitter": 0.04}, sensors={"latency": 0.05}
-    ).design_model().delay == pytest.approx(0.17)
-
-
 def test_real_sensors() -> None:
     real, hard = Scenario.under("real"), Scenario.under("hard")
     assert real.with_(sensors={"kind": "hard"}) == hard

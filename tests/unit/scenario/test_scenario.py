@@ -32,12 +32,14 @@ HEAD = f'format = "{FORMAT}"\n'
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"course": {"name": 7}}, "course: name = 7, expected text"),
+        ({"course": {"closed": "yes"}}, "course: closed = 'yes', expected true or false, or nothing"),
+        ({"vehicle": {"name": ["vw-passat"]}}, r"vehicle: name = \['vw-passat'\], expected text"),
+        ({"knowledge": {"oracle": 1}}, "knowledge: oracle = 1, expected true or false"),
         ({"course": "papr"}, r"scenario 'x': course 'papr' is not known \(did you mean 'paper'\?\).*FILE.csv"),
-        ({"course": "random-x"}, "course 'random-x' is not known"),
         ({"course": "swooping-7"}, "random-7, sweeping-7, FILE"),
         ({"course": "no.csv"}, "course no.csv cannot be read"),
         ({"course": {"closed": True}}, "course: closed = True is only for a course from a file"),
-        ({"course": {"rounds": 0.0}}, "course: rounds = 0.0"),
         ({"course": {"start": 900.0}}, r"course: start = 900.0 \[m\].*the course's length"),
         ({"course": {"nam": "paper"}}, "course: no field 'nam'; valid: name, closed, start, rounds"),
         ({"vehicle": "vw-pasat"}, "did you mean 'vw-passat'"),
@@ -45,7 +47,6 @@ HEAD = f'format = "{FORMAT}"\n'
         ({"vehicle": {"plant": "bicycle"}}, "'bicycle' is not known; valid: nonlinear, linear, package.module:Class"),
         ({"vehicle": {"plant": "steerkit.plants.single_track:Cat"}}, "steerkit.plants.single_track has no 'Cat'"),
         ({"vehicle": {"plant": "steerkit.doe:Integrator"}}, "expected a subclass of Car"),
-        ({"vehicle": {"tyres": 0.0}}, "vehicle: tyres = 0.0"),
         ({"vehicle": {"tyres": 10.0, "name": "bmw-320i"}}, "c_f"),
         ({"vehicle": {"plant": MULTI_BODY}}, "valid: bmw-320i, ford-escort"),
         ({"vehicle": {"plant": MULTI_BODY, "name": "bmw-320i", "ratio": 1.1}}, "no other tyres, friction or ratio"),
@@ -56,22 +57,18 @@ HEAD = f'format = "{FORMAT}"\n'
         ({"driver": {"speed": "fast"}}, "driver: speed 'fast'; valid: wander, recorded"),
         ({"driver": {"speed": "recorded"}}, "'paper' is not known.*genesis"),
         ({"driver": {"v_min": 9.0}}, "driver: v_min = 9.0, v_max = 7.5"),
-        ({"driver": {"v_min": 0.0}}, r"v_min = 0.0 \[m/s\], expected 0.2 to 40"),
         ({"driver": "recorded"}, "driver: 'recorded', expected a table of speed, v_min, v_max"),
         ({"steering": {"command": "hands"}}, "steering: command 'hands'; valid: angle, torque"),
         ({"steering": {"lag": -1.0}}, r"steering: lag = -1.0 \[s\], expected 0 to 10"),
-        ({"steering": {"lag": math.nan}}, "lag = nan"),
         ({"steering": {"lag": "much"}}, r"lag = 'much', expected a number \[s\]"),
         ({"steering": {"lag": None}}, r"lag = None, expected a number \[s\]"),
         ({"steering": {"delay": 0.123}}, "delay = 0.123.*valid: 0.12 or 0.13"),
         ({"sensors": {"kind": "perfect"}}, "sensors: kind 'perfect'; valid: hard, no sideslip, real"),
         ({"sensors": {"estimator": "kalman"}}, "estimator 'kalman'; valid: none, vehicle-state, adaptive-state"),
         ({"sensors": {"latency": 0.02}}, "latency = 0.02"),
-        ({"sensors": {"noise": -1.0}}, "noise = -1.0"),
         ({"sensors": {"noise": True}}, r"noise = True, expected a number \[1\]"),
         ({"sensors": {"gyro_zero_deg": 6.0}}, r"gyro_zero_deg = 6.0 \[deg/s\]"),
         ({"steering": {"delay": 1.5}, "sensors": {"latency": 1.0}}, "add up to 2.5"),
-        ({"knowledge": {"oracle": "truth"}}, "knowledge: oracle = 'truth', expected true or false"),
         ({"knowledge": {"delay": 3.0}}, r"knowledge: delay = 3.0 \[s\], expected 0 to 2"),
         ({"reference": "rear"}, "reference 'rear'; valid: front, cg, own"),
         ({"recovery": "lqr"}, "recovery 'lqr'; valid: auto, adaptive, stanley, stanley-delay"),
@@ -96,6 +93,8 @@ def test_controllers_believe_the_data_sheet_and_the_true_delay_and_lag() -> None
     late = Scenario(steering={"delay": 0.2, "lag": 0.3}, sensors={"latency": 0.05}).design_model()
     assert (late.delay, late.lag, late.hold, late.rate_limit) == (0.25, 0.3, 0.01, radians_of(550.0))
     assert Scenario(steering={"lag": 0.3}, knowledge={"lag": 0.1}).design_model().lag == 0.1
+    varies = Scenario(steering={"delay": 0.1, "delay_jitter": 0.04}, sensors={"latency": 0.05})
+    assert varies.design_model().delay == pytest.approx(0.17)
 
 
 def test_a_controller_without_a_point_of_its_own_is_judged_where_the_scenario_says() -> None:
@@ -309,17 +308,3 @@ def test_mistakes_in_a_file_name_file_key_and_valid_keys(text: str | None, messa
     with pytest.raises(ValueError, match=message) as refused:
         read_scenario(tmp_path / "s.toml")
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"course": {"name": 7}}, "course: name = 7, expected text"),
-        ({"course": {"closed": "yes"}}, "course: closed = 'yes', expected true or false, or nothing"),
-        ({"vehicle": {"name": ["vw-passat"]}}, r"vehicle: name = \['vw-passat'\], expected text"),
-        ({"knowledge": {"oracle": 1}}, "knowledge: oracle = 1, expected true or false"),
-    ],
-)
-def test_a_field_of_another_kind_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Scenario(**changes)
