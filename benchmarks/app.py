@@ -1,6 +1,6 @@
 """The benchmarks' command line: `steerkit bench`, and the same as `python -m benchmarks`.
 
-What a command needs is imported in it, so that `steerkit --help` stays fast and light.
+What is slow to load is imported by the command that needs it.
 """
 
 from __future__ import annotations
@@ -11,15 +11,18 @@ import sys
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-if TYPE_CHECKING:
-    from benchmarks.run.results import Results
+from benchmarks import studies
+from benchmarks.run.compare import compare as compared
+from benchmarks.run.results import Results, load_results
+from benchmarks.run.spread import WorkersDiedError
+from steerkit._support.errors import in_one_line
 
 app = typer.Typer(
     help="Learned against analytic steering controllers, in numbers. All drives are simulated.",
@@ -92,7 +95,6 @@ def run(
     """Run suites; what has finished is kept at once, and the same command goes on after a stop."""
     _require_extra("joblib", "pandas", "pyarrow", *(["distributed"] if backend == "dask" else []))
     from benchmarks.run.runner import run as carry_out
-    from benchmarks.run.spread import WorkersDiedError
     from benchmarks.suites import elsewhere, suite
     from steerkit.scenario import Scenario
     from steerkit.scenario.catalogue import make_controller
@@ -145,7 +147,6 @@ def report(
     """Write the results as one self-contained HTML page."""
     _require_extra("jinja2", "markdown_it")
     from benchmarks.report.page import write_report
-    from benchmarks.run.results import load_results
 
     _console().print(f"written: {write_report(load_results(place), out or place / 'report.html')}", soft_wrap=True)
 
@@ -154,7 +155,6 @@ def report(
 def verdict(place: Place, of: Annotated[str | None, typer.Option("--suite", help="Of one suite only.")] = None) -> None:
     """Say where learned beats analytic, where it does not, and by how much."""
     from benchmarks.report.verdict import verdict as text
-    from benchmarks.run.results import load_results
 
     print(text(load_results(place), suite=of))
 
@@ -170,8 +170,6 @@ def compare(
     as_json: Machine = False,
 ) -> None:
     """Compare two results case by case and say what changed; computing times are left out."""
-    from benchmarks.run.compare import compare as compared
-    from benchmarks.run.results import load_results
 
     console = _console()
     comparison = compared(load_results(a), load_results(b), rel=rel, absolute=absolute)
@@ -242,8 +240,6 @@ def study(
     names: Annotated[bool, typer.Option("--list", help="Say what each study measures.")] = False,
 ) -> None:
     """Carry out a single measurement: study NAME, then --quick, --json or its options; study NAME --help lists them."""
-    from benchmarks import studies
-
     if names:
         width = max(map(len, studies.NAMES))
         for one in studies.NAMES:
@@ -287,7 +283,5 @@ def main() -> None:
     try:
         app()
     except (ValueError, KeyError, OSError) as error:
-        from steerkit._support.errors import in_one_line
-
         print(f"benchmarks: {in_one_line(error)}", file=sys.stderr)
         raise SystemExit(2) from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import control
 import numpy as np
 
 from steerkit.diagram.block import Block
@@ -23,8 +24,6 @@ def _state(x: Any, like: Any) -> Any:
 
 def diagram(loop: Loop, start: LoopState) -> Made:
     """Every block a system of its own, every wire a connection."""
-    import control
-
     systems = []
     for (name, block), x0 in zip(loop.blocks.items(), start.x):
 
@@ -66,8 +65,6 @@ def diagram(loop: Loop, start: LoopState) -> Made:
 
 def one_function(loop: Loop, start: LoopState) -> Made:
     """The whole loop as one update function, steerkit's own interpreted tick: no diagram is left to python-control."""
-    import control
-
     ends = np.cumsum([0, *[len(x) for x in start.x]]).tolist()
     east = ends[list(loop.blocks).index("car")]  # the first of the car's states
 
@@ -89,8 +86,6 @@ def one_function(loop: Loop, start: LoopState) -> Made:
 
 def run(made: Made, steps: int) -> np.ndarray:
     """Outputs of `control.input_output_response`, a fixed-step discrete-time run."""
-    import control
-
     system, x0 = made
     response = control.input_output_response(system, np.arange(steps) * system.dt, 0, x0)
     return np.asarray(response.outputs).ravel()

@@ -8,17 +8,17 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, save, style
 from steerkit.task import GOAL, TRIP
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
 
 WIDTH = 4.6
 """Width of a picture [in]: it fits a phone, and two or three stand side by side on a desk."""
@@ -66,8 +66,6 @@ def svg(figure: Figure, words: str) -> str:
     Coordinates have two decimals, a hundredth of a pixel: a page of a whole suite has some hundred figures, and this
     halves it. words: what it shows, for those who do not see it.
     """
-    import matplotlib as mpl
-
     serial = f"f{next(_SERIAL)}"
     buffer = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "steerkit"}):
@@ -151,8 +149,6 @@ def dots(
 
 def _plain_numbers(axis: Axis, span: float = 1.0) -> None:
     """On a logarithmic axis: 0.1, 0.2, 0.5 instead of powers of ten; the fewer, the larger the ratio `span`."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     subs = (1.0, 2.0, 5.0) if span < 40.0 else (1.0, 3.0) if span < 500.0 else (1.0,)
     axis.set_major_locator(LogLocator(subs=subs, numticks=10))
     axis.set_major_formatter("{x:g}")

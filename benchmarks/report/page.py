@@ -16,7 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
+import jinja2
 import numpy as np
+from markdown_it import MarkdownIt
 
 from benchmarks.report import conditions, figures, learning, parts
 from benchmarks.report.overall import PLAIN, glances
@@ -48,8 +50,6 @@ def write_report(results: Results, out: str | FilePath) -> FilePath:
 
 def html(results: Results) -> str:
     """The report as one HTML document. Raises ValueError if no case has finished."""
-    import jinja2
-
     if not results.cases:
         raise ValueError(f"{results.place}: no case has finished, so there is nothing to report; run the suite first")
     look = figures.looks(list(dict.fromkeys([*known_controllers(results), *parts.controllers(results.cases)])))
@@ -107,8 +107,6 @@ def tiles(results: Results) -> list[tuple[str, str, str]]:
 
 def verdict_html(results: Results) -> str:
     """The verdict's Markdown as HTML, without its heading; what is no Markdown in it stays text."""
-    from markdown_it import MarkdownIt
-
     text = re.sub(r"\A## .*\n", "", verdict(results))
     made: str = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
     return made.replace("<table>", '<div class="scroll"><table>').replace("</table>", "</table></div>")

@@ -21,6 +21,7 @@ from steerkit.controllers.nfq_policy import Kind, NfqPolicy
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop, Sample
 from steerkit.diagram.simulation import Log, simulate
+from steerkit.learning.settings import setting
 from steerkit.metrics import measures, step_times
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
@@ -58,8 +59,6 @@ class Policy:
 
     def element(self, vehicle: Vehicle) -> Block:
         """The dynamic output element, within that car's stops; that of the environments for an agent."""
-        from steerkit.learning.settings import setting
-
         agent = isinstance(self.block, PolicyBlock)
         return make_element("integrator", vehicle) if agent else setting(self.setting).element(vehicle)
 

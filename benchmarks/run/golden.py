@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.run.compare import Change, same
 from benchmarks.run.results import Results
+from benchmarks.run.runner import run
 from benchmarks.suites import suite
 from steerkit._support.files import write_text
 
@@ -34,8 +35,6 @@ def file() -> FilePath:
 
 def measured(*, workers: int = 1) -> Results:
     """The suite `golden`, run anew; only the cases in memory are left of it."""
-    from benchmarks.run.runner import run
-
     with TemporaryDirectory() as place:
         return run([suite("golden")], FilePath(place) / "golden", workers=workers, quiet=True)
 

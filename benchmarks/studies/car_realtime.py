@@ -33,8 +33,10 @@ from steerkit.car import replay as replays
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import course_of, load
 from steerkit.car.core import Core
+from steerkit.car.learner import CarLearner
 from steerkit.car.state_machine import Mode
 from steerkit.diagram import realtime
+from steerkit.learning.settings import DEFAULT
 from steerkit.task import DT
 
 
@@ -215,9 +217,6 @@ def learn(
     seed: int,
 ) -> realtime.Run:
     """A learning run from nothing; its counts go to `more`, those of the safety filter's of the last minute."""
-    from steerkit.car.learner import CarLearner
-    from steerkit.learning.settings import DEFAULT
-
     link.wait(timeout=10.0)
     best = since = 0.0
     failures = 0

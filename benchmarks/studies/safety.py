@@ -44,6 +44,7 @@ from rich.table import Table
 from benchmarks.run import spread
 from benchmarks.run.fleet import of_fleet, of_kind
 from benchmarks.run.safe_learning import Job, Learner, runs, summarise
+from benchmarks.studies.car_realtime import drive
 from steerkit._support.native import compiler
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
@@ -255,8 +256,6 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
 
 def on_the_car(drives: int, minutes: float, first_seed: int) -> dict[str, Any]:
     """Learners with the filter on the simulated car behind the bus, at true 20 Hz; |e| from when it is engaged."""
-    from benchmarks.studies.car_realtime import drive
-
     rows = []
     for seed in range(first_seed, first_seed + drives):
         with tempfile.TemporaryDirectory() as folder:

@@ -138,7 +138,8 @@ def test_importing_steerkit_loads_nothing_heavy() -> None:
 
 
 def test_the_command_line_starts_with_nothing_heavy_not_even_arrays() -> None:
-    assert loaded_by("import steerkit.cli.app, benchmarks.app", ("numpy", "scipy", *HEAVY)) == set()
+    assert loaded_by("import steerkit.cli.app", ("numpy", "scipy", *HEAVY)) == set()
+    assert loaded_by("import benchmarks.app", ("scipy", "pandas", "joblib", "distributed", *HEAVY)) == set()
 
 
 def test_building_and_driving_a_loop_loads_nothing_heavy() -> None:
