@@ -80,22 +80,23 @@ class CarLearner:
         what = f"{place} is not empty and holds no run of a car (no car.json); choose a new directory"
         require(not place.exists() or is_free(place) or (place / "car.json").exists(), where, what)
         place.mkdir(parents=True, exist_ok=True)
-        with contextlib.ExitStack() as until_closed:
-            until_closed.enter_context(held(place))
+        with contextlib.ExitStack() as self._open:
+            self._open.enter_context(held(place))
             self._begin(config, path, seed, clock)
-            self._open = until_closed.pop_all()
+            self._open = self._open.pop_all()
 
     def _begin(self, config: CarConfig, path: Path, seed: int, clock: Callable[[], float] | None) -> None:
         setting, place = self.setting, self.place
         _claim(place, setting)
-        names = setting.recorded()
-        self.store = TransitionStore(place / "transitions.db", run=RUN, names=names)
+        self.store = TransitionStore(place / "transitions.db", run=RUN, names=setting.recorded())
+        self._open.callback(self.store.close)
         saved = sorted((place / "nets").glob("net-*.npz"))
         net = int(saved[-1].stem.split("-")[1]) if saved else 0
         policy = NfqPolicy.load(saved[-1]) if saved else untrained(setting, seed)
         if not saved:
-            policy.save(place / "nets" / "net-0000.npz")
+            policy.save(rundir.net_file(place, 0))
         self.trainer = Trainer(nets=policy.nets or () if net else ())
+        self._open.callback(self.trainer.close)
         self.learner_state = LearnerState(
             setting=setting,
             seed=seed,
@@ -135,20 +136,20 @@ class CarLearner:
         learner_state = self.learner_state
         if self.follow.begin(live):
             learner_state.forget()
-        engaged, t = self.follow.engaged, live.k * self._idle.dt
-        state = {name: self._value(live, signal) for name, signal in self._inputs.items()}
-        learning = engaged and self._value(live, "supervisor.learning") > 0.5
-        fault = engaged and self._value(live, "supervisor.fault") > 0.5  # a NaN, or an exception in the policy
+        engaged, t, sample = self.follow.engaged, live.k * self._idle.dt, live.sample
+        state = {name: sample[signal] for name, signal in self._inputs.items()}
+        learning = engaged and sample["supervisor.learning"] > 0.5
+        fault = engaged and sample["supervisor.fault"] > 0.5  # a NaN, or an exception in the policy
         given_up = self.setting.safe and self._filtered(live, learning=learning, engaged=engaged)
         ended = learner_state.sample(
             live.k,
             t,
             list(state.values()),
-            learner_state.action(lambda signal: self._value(live, signal), self._element),
+            learner_state.action(sample.__getitem__, self._element),
             learning=learning,
-            failed=fault or (engaged and self._value(live, "supervisor.tripped") > 0.5),
-            progress=self._value(live, "path.progress"),
-            e=self._value(live, "path.e"),
+            failed=fault or (engaged and sample["supervisor.tripped"] > 0.5),
+            progress=sample["path.progress"],
+            e=sample["path.e"],
         )
         if not engaged:
             learner_state.counts.recovery = None  # the human steers
@@ -209,28 +210,19 @@ class CarLearner:
     @property
     def net_file(self) -> FilePath:
         """The file of the newest net that has taken over."""
-        return self.place / "nets" / f"net-{self.learner_state.net:04d}.npz"
+        return rundir.net_file(self.place, self.learner_state.net)
 
     def remark(self) -> None:
         """Note, for the recording, who steers from here on."""
-        how: dict[str, Any] = {
-            "recovery": self.recovery,
-            "trusted": self.learner_state.trusted,
-            "safe": self.setting.safe,
-        }
-        self.link.remark(Steers.by_policy(self.net_file, self.setting.doe, **how).text())
+        how: dict[str, Any] = {"trusted": self.learner_state.trusted, "safe": self.setting.safe}
+        steers = Steers.by_policy(self.net_file, self.setting.doe, recovery=self.recovery, **how)
+        self.link.remark(steers.text())
 
     def _with(self, policy: NfqPolicy) -> Loop:
         return with_controller(self._idle, policy)
 
-    def _value(self, live: Run, signal: str) -> float:
-        i, j = self._idle.locate(signal)
-        return live.y[i][j]
-
     def close(self) -> None:
         """End the training process and write what is left."""
-        self.trainer.close()
-        self.store.close()
         self._open.close()
 
     def __enter__(self) -> Self:
@@ -243,13 +235,10 @@ class CarLearner:
 def _claim(place: FilePath, setting: Setting) -> None:
     """Make `place` a run directory of this setting, or see that it is one."""
     file = place / "car.json"
-    if file.exists():
-        other = setting_of(place)
-        if rundir.plain(other) != rundir.plain(setting):
-            raise ValueError(
-                f"{place} was learned with the setting '{other.name}', which differs from '{setting.name}'; continue "
-                f"it with --setting {other.name}, or choose a new directory"
-            )
-    (place / "nets").mkdir(parents=True, exist_ok=True)
+    (place / "nets").mkdir(exist_ok=True)
     if not file.exists():
         write_text(file, json.dumps({"format": RUN_FORMAT, "setting": rundir.plain(setting)}, indent=1))
+    other = setting_of(place)
+    why = f"learned with the setting '{other.name}', which differs from '{setting.name}'"
+    hint = f"continue it with --setting {other.name}, or choose a new directory"
+    require(rundir.plain(other) == rundir.plain(setting), f"{place}", f"{why}; {hint}")

@@ -252,24 +252,13 @@ def element_of(place: FilePath) -> str:
     """The output element that a run's policies were trained with; raises ValueError where it is not known."""
     if (place / "car.json").is_file():
         return setting_of(place).doe
-    if (place / "run.json").is_file():
-        return rundir.experiment_of(place).setting.doe
-    raise ValueError(
-        f"{place} is no run directory (neither car.json nor run.json), so the output element "
-        "of its policies is not known"
-    )
+    return rundir.experiment_of(place).setting.doe
 
 
 def setting_of(place: FilePath) -> Setting:
     """How a run on a car learns; raises ValueError for a directory that holds none."""
-    file = place / "car.json"
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{file}: no run of a car ({error}); make one with `steerkit learn --car FILE`") from error
-    if not isinstance(data, dict) or data.get("format") != RUN_FORMAT:
-        raise ValueError(f"{file}: not of the format {RUN_FORMAT!r}")
-    return rundir.from_plain(data["setting"], str(file), Setting)
+    data = rundir.document(place, "car.json", RUN_FORMAT)
+    return rundir.from_plain(data["setting"], str(place / "car.json"), Setting)
 
 
 def car_loop(
@@ -293,15 +282,15 @@ def car_loop(
     """
     learned = any(port.name == "action" for port in controller.outputs)
     require(learned or not safe, "car_loop", "safe = True, expected a policy: the filter is for learned controllers")
-    element = doe or Integrator()
-    element = replace(element, limit=min(element.limit, design_model_of(config).vehicle.delta_sw_max))
+    design_model, element = design_model_of(config), doe or Integrator()
+    element = replace(element, limit=min(element.limit, design_model.vehicle.delta_sw_max))
     return steering_loop(
         car=RealCar(link=link),
         path=path,
         driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
         controller=controller,
         doe=element if learned else None,
-        recovery=make_recovery(recovery, design_model_of(config)) if learned else None,
+        recovery=make_recovery(recovery, design_model) if learned else None,
         foresight=foresight(config) if learned else None,
         safety=safety(config, clock) if safe else None,
         reference=config.vehicle.l_f,

@@ -184,17 +184,17 @@ def save(run: LearningRun, place: FilePath) -> None:
             stale.unlink()
 
 
-def document(place: FilePath) -> dict[str, Any]:
+def document(place: FilePath, name: str = "run.json", form: str = FORMAT) -> dict[str, Any]:
     """The contents of run.json; raises ValueError when there is none, it is broken, or of another format."""
-    file = FilePath(place) / "run.json"
+    file = FilePath(place) / name
     if not file.exists():
-        raise ValueError(f"{place} is no run directory: it has no run.json; make one with `steerkit learn`")
+        raise ValueError(f"{place} is no run directory: it has no {name}; make one with `steerkit learn`")
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"{file} is truncated or no JSON ({error}); the run cannot be read") from error
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise ValueError(f"{file}: format {data.get('format') if isinstance(data, dict) else None!r}, not {FORMAT!r}")
+    if not isinstance(data, dict) or data.get("format") != form:
+        raise ValueError(f"{file}: format {data.get('format') if isinstance(data, dict) else None!r}, not {form!r}")
     return data
 
 
