@@ -110,13 +110,12 @@ def without_lone(columns: dict[str, Array], remarks: list[str]) -> None:
     span = np.minimum(np.diff(t)[:-1], np.diff(t)[1:])
     for key, fastest in FASTEST.items():
         if key in columns:
-            rows = lone(np.unwrap(columns[key]) if key == "psi" else columns[key], fastest * span)
+            rows = standing_off(np.unwrap(columns[key]) if key == "psi" else columns[key], fastest * span)
             if len(rows):
                 bad[rows] = True
                 remarks.append(f"dropped {len(rows)} rows of a lone {key} that no car reaches")
     if bad.any():
-        for key in columns:
-            columns[key] = columns[key][~bad]
+        _keep(columns, ~bad)
 
 
 def odd_values(values: Mapping[str, Array], times: Mapping[str, Array]) -> list[str]:
@@ -144,17 +143,7 @@ def odd_values(values: Mapping[str, Array], times: Mapping[str, Array]) -> list[
     return told
 
 
-def lone(value: Array, reach: Array) -> NDArray[np.intp]:
-    """Rows that stand off from both neighbours, which agree, by more than `reach` and 20 usual steps."""
-    steps = np.diff(value)
-    size = np.abs(steps)
-    least = np.minimum(size[:-1], size[1:])
-    far = np.flatnonzero(least > reach + 20.0 * float(np.median(size)))
-    there, back = steps[far], steps[far + 1]
-    return far[(there * back < 0.0) & (least[far] > 4.0 * np.abs(there + back))] + 1
-
-
-def standing_off(values: Array, least: float) -> NDArray[np.intp]:
+def standing_off(values: Array, least: float | Array) -> NDArray[np.intp]:
     """Rows whose value alone lies beside the middle of its neighbours, by more than `least` and ten times as far as any
     other near it: of a signal with noise or in steps, hardly any."""
     beside = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))

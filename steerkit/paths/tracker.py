@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number, require
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
@@ -66,24 +65,21 @@ class PathTracker(Block):
     preview = Out("1/m", size="preview_points", direct=(x, y, psi, v))
 
     path: Path
-    reference: Scalar = 0.0
-    window: float = 1.0
+    reference: Scalar = number(0.0, "m", low=-1e3, high=1e3)
+    window: float = number(1.0, "m", above=0.0)
     preview_points: int = 0
-    preview_dt: float = DT
+    preview_dt: float = number(DT, "s", above=0.0, high=3600.0)
 
     class X(NamedTuple):
         s: Scalar
         progress: Scalar
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where = "PathTracker"
         require(isinstance(self.path, Path), where, f"path is a {type(self.path).__name__}, expected a steerkit Path")
-        require(bool(np.isfinite(self.reference).all()), where, f"reference {self.reference} [m], expected finite")
-        require(0.0 < self.window < math.inf, where, f"window {self.window} [m], expected > 0")
         fits = not self.path.closed or self.window <= self.path.length
         require(fits, where, f"window {self.window} [m], expected at most a round of {self.path!r}")
-        require(0.0 < self.dt < math.inf, where, f"dt {self.dt} [s], expected > 0")
-        require(0.0 < self.preview_dt < math.inf, where, f"preview_dt {self.preview_dt} [s], expected > 0")
         count = self.preview_points
         require(isinstance(count, int) and count >= 0, where, f"preview_points {count!r}, expected a count >= 0")
 

@@ -22,7 +22,6 @@ BEHIND = {
     "steerkit.analysis.period": "evals/test_analysis_closed_forms.py",
     "steerkit.compiled.python_code": "unit/compiled/test_compiled.py",
     "steerkit.logs.tables": "unit/logs/test_reading.py",
-    "steerkit.paths.courses.make_courses": "evals/test_path_closed_forms.py",
     "steerkit.paths.waypoints": "unit/paths/test_path.py",
 }
 """Modules behind another's names, and the file under tests/ that tests them."""

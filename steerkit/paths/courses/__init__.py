@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import functools
 import hashlib
 import re
@@ -16,11 +15,11 @@ from dataclasses import replace
 from functools import cache, partial
 from importlib.metadata import version
 from importlib.resources import files
-from typing import TypeVar
 
 import numpy as np
 
 from steerkit._support import native
+from steerkit._support.errors import known
 from steerkit._support.files import read_npz, write_npz
 from steerkit.diagram.maths import Table
 from steerkit.paths.courses.shapes import (
@@ -36,8 +35,6 @@ from steerkit.paths.courses.shapes import (
 )
 from steerkit.paths.path import Array, Path
 from steerkit.paths.waypoints import check_stated, distances, east_north, read_columns, stated
-
-_T = TypeVar("_T")
 
 __all__ = [
     "bends",
@@ -73,7 +70,7 @@ def course(name: str) -> Path:
 
     Raises ValueError for another name, with the nearest one.
     """
-    return kept(name, _known(name, _COURSES))
+    return kept(name, _COURSES[known(name, _COURSES, "course")])
 
 
 def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
@@ -109,26 +106,17 @@ def recorded_speed(name: str) -> tuple[Array, Array]:
 
     Raises ValueError unless it is one of the recorded courses.
     """
-    v = _columns(_known(name, _RECORDED))["v"]
+    v = _columns(_RECORDED[known(name, _RECORDED, "recorded course")])["v"]
     return np.linspace(0.0, course(name).length, len(v)), v  # the rows are evenly spaced
 
 
 def _recorded(name: str) -> Path:
     columns = _columns(_RECORDED[name])
-    xy = [*zip(columns["x"], columns["y"])]
-    return Path.from_waypoints(xy, closed=False, name=name)
+    return Path.from_waypoints(np.column_stack((columns["x"], columns["y"])), closed=False, name=name)
 
 
 def _columns(file: str) -> dict[str, Array]:
     return read_columns((files(__name__) / file).read_text(encoding="utf-8"), file)
-
-
-def _known(name: str, table: dict[str, _T]) -> _T:
-    if name not in table:
-        near = difflib.get_close_matches(name, table, n=1, cutoff=0.4)
-        hint = f"; did you mean '{near[0]}'?" if near else ""
-        raise ValueError(f"course: {name!r} is not known{hint} (valid: {', '.join(table)})")
-    return table[name]
 
 
 _RECORDED = {"genesis": "genesis.csv", "genesis-rfs": "genesis_rfs.csv"}

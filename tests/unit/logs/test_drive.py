@@ -10,7 +10,7 @@ import pytest
 from steerkit.diagram.units import degrees_of
 from steerkit.identification import Drive, identify
 from steerkit.identification.identified import Identified
-from steerkit.logs.drive import aligned, in_metres, lone, odd_values, standing_off
+from steerkit.logs.drive import aligned, in_metres, odd_values, standing_off
 from tests.support.recorded_cars import BASE, DT, by_rate, noisy
 
 
@@ -226,6 +226,7 @@ def test_a_value_that_stands_off_is_found_where_it_is() -> None:
         assert odd_values({"v": values}, {"v": T}) == []
         values[437] += 0.1
         assert standing_off(values, 0.0).tolist() == [437]
+        assert standing_off(np.repeat(values, 1 + (T[437] == T)), 0.0).tolist() == [], "two alike are a step"
         (told,) = odd_values({"v": values}, {"v": T})
         assert told == f"v stands off from all around in 1 samples, the first {T[437]:.6g} s from its start: spoilt?"
 
@@ -261,11 +262,3 @@ def test_values_that_are_none_and_short_channels_are_passed_over() -> None:
     values[::7] = np.nan
     assert odd_values({"r": values}, {"r": T}) == []
     assert odd_values({"r": T[:10]}, {"r": T[:10]}) == []
-
-
-def test_a_lone_value_is_found_where_it_is() -> None:
-    values = np.sin(T)
-    values[200] = 9.0
-    assert lone(values, np.full(len(T) - 2, 0.5)).tolist() == [200]
-    values[200:202] = 9.0
-    assert lone(values, np.full(len(T) - 2, 0.5)).tolist() == []

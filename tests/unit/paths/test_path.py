@@ -182,7 +182,7 @@ def test_what_is_wrong_with_a_csv_file_is_said(text, message, tmp_path):
 
 
 def test_an_unknown_course_names_the_nearest():
-    with pytest.raises(ValueError, match=r"'genesys' is not known; did you mean 'genesis'.*valid: paper, genesis"):
+    with pytest.raises(ValueError, match=r"'genesys' is not known \(did you mean 'genesis'.*valid: paper, genesis"):
         courses.course("genesys")
     with pytest.raises(ValueError, match=r"'paper' is not known.*valid: genesis, genesis-rfs"):
         courses.recorded_speed("paper")
