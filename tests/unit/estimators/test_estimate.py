@@ -2,38 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from steerkit.diagram.block import Block, Out
 from steerkit.estimators.estimate import Estimated, estimated
+from steerkit.estimators.steering_hysteresis import SteeringFriction
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Known(Block):
-    """Two numbers, one of which is an estimate."""
-
-    ratio = Out("1", direct=())
-    ratio_deviation = Out("1", direct=())
-    ratio_valid = Out("1", direct=())
-    missing = Out("1", direct=())
-
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(15.0, 0.5, 1.0, 0.0)
+Y = SteeringFriction.Y(friction=15.0, friction_deviation=0.5, friction_valid=1.0, missing=0.0)
 
 
 def test_a_quantity_is_what_comes_with_deviation_and_validity() -> None:
-    block = Known()
-    assert estimated(block.output(0.0, (), ()), "ratio") == Estimated(15.0, 0.5, 1.0)
-
-
-def test_an_unknown_quantity_is_answered_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"estimate 'missing' is not known; valid: ratio"):
-        estimated(Known().output(0.0, (), ()), "missing")
+    assert estimated(Y, "friction") == Estimated(15.0, 0.5, 1.0)
+    with pytest.raises(ValueError, match=r"estimate 'missing' is not known.*; valid: friction"):
+        estimated(Y, "missing")
 
 
 def test_the_interval_holds_95_percent() -> None:

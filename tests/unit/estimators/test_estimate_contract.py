@@ -1,19 +1,21 @@
-"""What holds for every estimator of a car: compiled, saved, at a standstill, with samples lost, out of range."""
+"""What holds for every estimator of a car: at a standstill, overridden, with samples lost, out of range."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from steerkit.diagram.block import Block
+from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
-from tests.support.steered_car import PASSAT, answered, driven_fast, quantities, steered
+from tests.support.steered_car import PASSAT, answered, driven_fast, gaps, quantities, steered
 
 ALL: dict[str, Any] = {
     "wheel": WheelDelay(longest=0.3),
@@ -36,6 +38,34 @@ def test_at_a_standstill_nothing_is_learned_or_forgotten(name: str) -> None:
     after = block.output(0.0, driven_fast(block, stands, x), ())
     for quantity in quantities(block):
         assert estimated(after, quantity) == estimated(before, quantity)
+
+
+@pytest.mark.parametrize("what", ["override", "nan"])
+@pytest.mark.parametrize(
+    ("block", "quantity", "truth", "near"),
+    [
+        (WheelDelay(), "delay_lag", 0.4, 0.006),
+        (SteeringFriction(), "friction", radians_of(0.5), radians_of(0.05)),
+        (SingleTrackFilter(vehicle=PASSAT), "ratio", 1.2, 0.025),
+    ],
+)
+def test_what_others_do_to_the_wheel_and_lost_samples_are_not_used(
+    block: Block, quantity: str, truth: float, near: float, what: str
+) -> None:
+    """Whoever overrides turns the wheel as he likes, here exactly against the command."""
+    friction, ratio = (truth if quantity == name else other for name, other in (("friction", 0.0), ("ratio", 1.0)))
+    car = replace(PASSAT, steer_ratio=ratio * PASSAT.steer_ratio)
+    signals = answered(steered(120.0), delay=0.2, lag=0.2, friction=friction, car=car)
+    signals["angle"] = signals["delta_sw_cmd"]
+    mask = gaps(len(signals["v"]))
+    lost, instead = ("v", "r"), np.full(len(mask), np.nan)
+    if what == "override":
+        signals["active"], lost, instead = np.where(mask, 0.0, 1.0), (), -signals["delta_sw_cmd"]
+    for name in ("delta_sw", "delta_sw_meas", *lost):
+        signals[name] = np.where(mask, instead, signals[name])
+    found = estimated(block.output(0.0, driven_fast(block, signals), ()), quantity)
+    assert found.valid == 1.0
+    assert found.value == pytest.approx(truth, abs=near)
 
 
 @pytest.mark.parametrize(

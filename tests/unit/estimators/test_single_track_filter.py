@@ -146,15 +146,6 @@ def test_gaps_and_outliers_do_no_harm() -> None:
     assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.5))
 
 
-def test_the_angle_of_a_driver_who_overrides_is_not_taken_for_the_cars() -> None:
-    signals = sensed(drive(90.0))
-    mask = gaps(len(signals["r"]))
-    signals["delta_sw"] = np.where(mask, -signals["delta_sw"], signals["delta_sw"])
-    got = found(driven_fast(BLOCK, signals | {"active": np.where(mask, 0.0, 1.0)}))
-    assert got["ratio"].value == pytest.approx(1.2, rel=0.02)
-    assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.3))
-
-
 def test_while_the_delay_is_hardly_known_fast_turns_count_for_less() -> None:
     """Given 0.15 s too little, and how sure that is: the interval still holds the ratio."""
     signals = sensed(drive(20.0, delay=0.3)) | {"delay": np.full(400, 0.15)}
@@ -163,14 +154,6 @@ def test_while_the_delay_is_hardly_known_fast_turns_count_for_less() -> None:
     )
     assert unsure.deviation > 1.2 * sure.deviation
     assert unsure.low <= 1.2 <= unsure.high
-
-
-def test_without_heading_at_one_speed_offset_and_gyro_zero_are_not_separated() -> None:
-    signals = sensed(drive(v=8.0), zero=0.004) | {"psi": np.full(1200, np.nan)}
-    got = found(driven_fast(BLOCK, signals))
-    assert got["offset"].valid == got["rate_zero"].valid == 0.0
-    assert got["offset"].low <= radians_of(3.0) <= got["offset"].high
-    assert got["ratio"].valid == 1.0  # which is another matter
 
 
 def test_a_bank_is_an_offset_for_as_long_as_it_lasts() -> None:

@@ -12,7 +12,7 @@ from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import Estimated, estimated
 from steerkit.estimators.steering_delay import DelayBank, WheelDelay, YawDelay
 from steerkit.task import STOP
-from tests.support.steered_car import HELD, PASSAT, answered, driven, gaps, quantities, steered
+from tests.support.steered_car import HELD, PASSAT, answered, driven, quantities, steered
 
 WHEEL, YAW = WheelDelay(), YawDelay(vehicle=PASSAT)
 
@@ -83,23 +83,6 @@ def test_without_excitation_the_prior_stays_and_is_not_valid(block: DelayBank) -
         assert y.lag == pytest.approx(block.prior_lag, abs=0.005)
         assert y.delay_deviation == pytest.approx(block.prior_delay_deviation, rel=0.1)
         assert y.lag_deviation == pytest.approx(block.prior_lag_deviation, rel=0.1)
-
-
-@pytest.mark.parametrize("what", ["override", "nan"])
-def test_what_others_do_to_the_wheel_and_lost_samples_are_not_used(what: str) -> None:
-    """Whoever overrides turns the wheel as he likes, here exactly against the command."""
-    signals = answered(steered(60.0), delay=0.2, lag=0.2)
-    mask = gaps(len(signals["v"]))
-    if what == "override":
-        signals["active"] = np.where(mask, 0.0, 1.0)
-        signals["delta_sw_meas"] = np.where(mask, -signals["delta_sw_cmd"], signals["delta_sw_meas"])
-    else:
-        for name in ("delta_sw_meas", "v"):
-            signals[name] = np.where(mask, np.nan, signals[name])
-    x = driven(WHEEL, signals)
-    found = said(WHEEL, x)
-    assert found.valid == 1.0
-    assert found.value == pytest.approx(0.4, abs=0.006)
 
 
 @pytest.mark.parametrize("bound", ["stop", "rate_limit"])

@@ -11,7 +11,7 @@ import pytest
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import Estimated, estimated
 from steerkit.estimators.steering_hysteresis import PER_LAG, HysteresisBank, SteeringFriction, SteeringPlay
-from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, steered
+from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, steered
 
 FRICTION, PLAY = SteeringFriction(), SteeringPlay(vehicle=PASSAT)
 
@@ -79,21 +79,6 @@ def test_on_a_straight_the_prior_stays(block: HysteresisBank) -> None:
     assert found.valid == 0.0
     assert found.value == pytest.approx(ends * block.prior, abs=radians_of(0.05))
     assert found.deviation == pytest.approx(ends * block.prior_deviation, rel=0.05)
-
-
-@pytest.mark.parametrize("what", ["override", "nan"])
-def test_overrides_and_gaps_are_not_used(what: str) -> None:
-    signals = worn(120.0, friction_deg=0.5)
-    mask = gaps(len(signals["v"]))
-    if what == "override":
-        signals["active"] = np.where(mask, 0.0, 1.0)
-        signals["delta_sw_meas"] = np.where(mask, -signals["angle"], signals["delta_sw_meas"])
-    else:
-        for name in ("delta_sw_meas", "v"):
-            signals[name] = np.where(mask, np.nan, signals[name])
-    found = said(FRICTION, driven_fast(FRICTION, signals))
-    assert found.valid == 1.0
-    assert found.value == pytest.approx(radians_of(0.5), rel=0.1)
 
 
 def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() -> None:

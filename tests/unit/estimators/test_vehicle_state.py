@@ -18,8 +18,6 @@ from steerkit.metrics.signals import rms
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
-from steerkit.scenario import Scenario
-from steerkit.scenario.drive import controller, drive
 from steerkit.vehicles import VW_PASSAT
 from tests.support.steered_car import quantities
 from tests.support.stepped import run_fast
@@ -154,24 +152,6 @@ def test_order_and_lateness_within_the_horizon_do_not_matter() -> None:
     assert not swapped["missing"][20:385].any()
 
 
-def test_what_comes_twice_counts_once_and_what_is_too_late_not_at_all() -> None:
-    rows = driven(5).rows(late=0)[:200]
-    plain = outputs(FILTER, rows)
-    twice = [
-        [*rows[k - 1][:3], DT, *rows[k - 1][4:6], DT, row[7]] if k % 3 == 0 and k else row for k, row in enumerate(rows)
-    ]
-    lost = [[*[NAN] * 7, row[7]] if k % 3 == 0 and k else row for k, row in enumerate(rows)]
-    late = [
-        [*rows[k - 4][:3], 4 * DT, *rows[k - 4][4:6], 4 * DT, row[7]] if k % 3 == 0 and k > 3 else row
-        for k, row in enumerate(lost)
-    ]
-    gone = outputs(FILTER, lost)
-    assert outputs(FILTER, twice)["x"] == pytest.approx(gone["x"], abs=1e-12)
-    assert outputs(FILTER, late)["x"] == pytest.approx(gone["x"], abs=1e-12)
-    assert gone["missing"][20:].mean() == pytest.approx(1 / 3, abs=0.05)
-    assert abs(gone["x"] - plain["x"]).max() > 1e-4
-
-
 @pytest.mark.parametrize("lost", [slice(0, 4), slice(0, 7)])
 def test_an_outage_of_two_seconds_is_ridden_out_and_said(lost: slice) -> None:
     """Of the pose, or of all but the wheel: the deviation grows by what is then not known."""
@@ -285,15 +265,6 @@ def test_at_standstill_nothing_drifts() -> None:
     assert y["gyro_zero_deviation"][-1] < 0.3 * FILTER.gyro_drift
 
 
-@pytest.mark.parametrize("v", [0.3, 1.0, 2.0, 3.0])
-def test_at_walking_pace_it_holds(v: float) -> None:
-    tape = driven(6, 40.0, v=v)
-    y = outputs(FILTER, tape.rows())
-    side, heading = errors(tape, y)
-    assert abs(side[100:]).max() < 0.05
-    assert rms(heading[100:]) < radians_of(0.15)
-
-
 def test_zeros_are_found_and_said_to_be_known() -> None:
     tape = driven(5, 150.0)
     rows = tape.rows()
@@ -323,25 +294,6 @@ def test_a_car_that_is_not_as_told_is_doubted_and_sensors_are_trusted_more(monke
     assert side < 1.1 * blind_side
     assert heading < 0.6 * blind_heading
     assert (outputs(FILTER, driven(5).rows())["doubt"][200:] > 0.0).mean() < 0.1
-
-
-def test_five_minutes_leave_the_deviations_as_they_are() -> None:
-    tape = driven(5, 60.0)
-    y = outputs(FILTER, tape.rows() * 5)
-    deviations = np.array([y[name] for name in NAMES if name.endswith("_deviation")])
-    assert np.isfinite(deviations).all()
-    assert (deviations[:4] > 0.0).all()
-    assert deviations[0][-1000:].max() < 2.0 * deviations[0][400:1100].max()
-
-
-def test_controllers_behind_it_hold_the_path_better_without_a_measured_sideslip() -> None:
-    plain = Scenario.under("hard", sensors={"kind": "no sideslip"}, course={"rounds": 0.4, "name": "random-2110"})
-    behind = plain.with_(sensors={"estimator": "vehicle-state"})
-    e = []
-    for scenario in (plain, behind):
-        log = drive(scenario, controller("stanley", scenario), seed=9)
-        e.append(rms(log["path.e"][100:]))
-    assert e[1] < 0.95 * e[0]
 
 
 @pytest.mark.parametrize(

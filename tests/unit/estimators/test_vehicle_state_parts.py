@@ -60,9 +60,14 @@ def test_each_in_its_sample(age: float, slot: int, lead: float) -> None:
     assert math.isnan(slots[slot].r)
 
 
-@pytest.mark.parametrize("age", [0.13, 3.0, -0.03, NAN, math.inf])
-def test_too_late_from_the_future_or_of_no_age(age: float) -> None:
-    assert not any(math.isfinite(one.x) for one in put(EMPTY, 1.0, age))
+def test_what_comes_later_replaces_what_came_first_but_not_by_nan() -> None:
+    buffer = kept(put(EMPTY, 1.0, 0.0, r=0.2, motion_age=0.0))
+    again = put(buffer, NAN, 0.05, r=NAN, motion_age=0.05)
+    assert (again[1].x, again[1].r) == (1.0, 0.2)
+    twice = put(buffer, 3.0, 0.06, r=0.4, motion_age=0.05)
+    assert (twice[1].x, twice[1].lead, twice[1].r) == (3.0, pytest.approx(0.01), 0.4)
+    for age in (0.13, 3.0, -0.03, NAN, math.inf):  # too late, from the future or of no age
+        assert not any(math.isfinite(one.x) for one in put(EMPTY, 1.0, age))
 
 
 def test_pose_and_motion_have_their_own_ages() -> None:
@@ -70,12 +75,6 @@ def test_pose_and_motion_have_their_own_ages() -> None:
     assert (slots[2].x, slots[0].r, slots[0].v) == (1.0, 0.2, 5.0)
     assert math.isnan(slots[0].x)
     assert math.isnan(slots[2].r)
-
-
-def test_what_is_nan_replaces_nothing() -> None:
-    buffer = kept(put(EMPTY, 1.0, 0.0, r=0.2, motion_age=0.0))
-    again = put(buffer, NAN, 0.05, r=NAN, motion_age=0.05)
-    assert (again[1].x, again[1].r) == (1.0, 0.2)
 
 
 def test_what_a_wheel_turns_unheard_is_not_left_in_its_zero() -> None:

@@ -55,14 +55,6 @@ def test_the_wheel_has_a_stop(cls):
 
 
 @CARS
-@pytest.mark.parametrize("inputs", [(math.nan, 5.0), (1.0, math.nan)])
-def test_nan_is_not_hidden(cls, inputs):
-    _, x = run(cls(vehicle=VW_PASSAT), [(0.1, 5.0), inputs, (0.1, 5.0)])
-    assert math.isnan(x.sway)
-    assert math.isnan(x.r)
-
-
-@CARS
 @pytest.mark.parametrize(
     ("change", "message"),
     [

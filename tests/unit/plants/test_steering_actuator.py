@@ -121,12 +121,6 @@ def test_what_is_kept_is_within_the_dead_band_and_what_is_new_is_the_command(giv
     assert (abs(np.diff(out))[changed - 1] > dead_band).all()
 
 
-def test_a_slow_ramp_becomes_steps_of_the_dead_band() -> None:
-    out = sent(SteeringLink(dead_band=0.125), (np.arange(1024) / 1024).tolist())
-    steps = np.diff(out)[np.diff(out) > 0.0]
-    assert steps == pytest.approx([0.125 + 1 / 1024] * 7, abs=1e-15)
-
-
 @pytest.mark.parametrize("block", [SteeringLink(), SteeringColumn()])
 @given(given=commands)
 def test_off_it_is_not_there(block: SteeringLink | SteeringColumn, given: list[float]) -> None:
@@ -201,12 +195,6 @@ def test_nothing_leaves_its_gap_and_what_is_held_stays(motor: list[float], frict
     twice = outputs(column, [angle for angle in motor for _ in range(3)])
     np.testing.assert_allclose(twice[::3], np.column_stack((road, wheel)), atol=1e-12)  # how fast does not matter
     np.testing.assert_allclose(twice[2::3], twice[::3], atol=1e-12)
-
-
-@given(motor=angles, friction=gaps, play=gaps)
-def test_left_and_right_are_the_same(motor: list[float], friction: float, play: float) -> None:
-    column = SteeringColumn(friction=friction, play=play)
-    np.testing.assert_array_equal(outputs(column, [-angle for angle in motor]), -outputs(column, motor))
 
 
 def test_a_sensors_zero_is_shown_and_moves_nothing() -> None:

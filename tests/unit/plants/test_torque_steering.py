@@ -97,13 +97,6 @@ def test_a_car_that_holds_an_angle_goes_on_holding_it() -> None:
     assert len(x) == len(block.init())
 
 
-def test_nan_arrives_and_stays() -> None:
-    ys, _ = run(TorqueSteering.of(VW_PASSAT, delay=0.02), [(0.1, 12.0), (math.nan, 12.0), *[(0.1, 12.0)] * 4])
-    assert [math.isnan(y.delta_sw) for y in ys] == [False] * 4 + [True] * 2
-    ys, _ = run(TorqueSteering.of(VW_PASSAT), [(0.1, 12.0), (0.1, math.nan), (0.1, 12.0)])
-    assert math.isnan(ys[-1].delta_sw)
-
-
 @pytest.mark.parametrize(
     ("field", "value"), [("slew", 0.0), ("a_y_limit", -3.0), ("gain", 0.0), ("delay", 0.355), ("lag", -1.0)]
 )
