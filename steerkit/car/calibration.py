@@ -45,8 +45,7 @@ class Guided:
     """Which wave is on top while a car is calibrated: each for its share of the time that the car is driven engaged.
 
     A driver who takes the wheel stops the clock; the wave begins anew when the car is engaged again. All else is as in
-    an ordinary drive: gate, checks, watchdogs and keys. Raises ValueError for minutes out of range and a controller
-    that is not known.
+    an ordinary drive: gate, checks, watchdogs and keys.
     """
 
     config: CarConfig
@@ -65,7 +64,6 @@ class Guided:
     follow: Follow = field(init=False)
 
     def __post_init__(self) -> None:
-        check(self.base, self.minutes)
         first = loops.controller_named(f"{self.base}+{self.wave}", self.config)
         self.follow = Follow.of(self._loop(first), self.link)
         self._announce(first)
@@ -250,7 +248,7 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
     """`steerkit car calibrate`: drive, then write the vehicle file `out`; returns figures and estimates.
 
     Nothing is lost when a drive is cut short: the file can be made from its recording. Raises ValueError, before
-    anything starts, for an `out` that is no vehicle file and for what `Guided` refuses.
+    anything starts, for an `out` that is no vehicle file and for what `check` refuses.
     """
     check(base, minutes)
     check_place(out)

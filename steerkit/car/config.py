@@ -37,20 +37,36 @@ TABLES = (
     *("format", "bus", "files", "course", "vehicle", "kit", "read", "protect", "write", "server", "limits"),
     "controllers",
 )
-REPORT = ("delta_sw", "v_kit", "torque", "echo", "enabled", "override", "timeout", "brake", "accelerator")
-POSE = ("x", "y", "lat", "lon", "psi", "v", "r", "beta", "a_y", "quality", "stamp")
-NEEDED = ("delta_sw", "v_kit", "torque", "enabled", "override", "psi", "v", "r")
-_OF_UNIT = {
-    "rad": "delta_sw echo psi beta lat lon",
-    "m/s": "v v_kit",
-    "m": "x y",
-    "rad/s": "r",
-    "N m": "torque",
-    "m/s^2": "a_y",
-    "s": "stamp",
+_REPORT = {
+    "delta_sw": ("rad", "ANGLE SWA STEERING_ANGLE"),
+    "v_kit": ("m/s", "VEH_VEL VEHICLE_SPEED"),
+    "torque": ("N m", "TORQUE TRQ"),
+    "echo": ("rad", "CMD SCMD COMMAND"),
+    "enabled": ("", "ENABLED"),
+    "override": ("", "OVERRIDE OVR"),
+    "timeout": ("", "TMOUT TIMEOUT"),
+    "brake": ("", "BRAKE BRAKE_PRESSED"),
+    "accelerator": ("", "ACCELERATOR GAS THROTTLE"),
 }
-DIMENSION = {name: unit for unit, names in _OF_UNIT.items() for name in names.split()}
+_POSE = {
+    "x": ("m", "X EAST POS_X"),
+    "y": ("m", "Y NORTH POS_Y"),
+    "lat": ("rad", "LAT LATITUDE"),
+    "lon": ("rad", "LON LONGITUDE"),
+    "psi": ("rad", "PSI HEADING YAW"),
+    "v": ("m/s", "V SPEED VELOCITY"),
+    "r": ("rad/s", "R YAW_RATE YAWRATE"),
+    "beta": ("rad", "BETA SIDESLIP"),
+    "a_y": ("m/s^2", "A_Y AY LAT_ACC"),
+    "quality": ("", "QUALITY FIX"),
+    "stamp": ("s", "STAMP TIME TIMESTAMP"),
+}
+"""What the kit reports and what makes the pose: SI unit, "" for flags and pure numbers, and names of signals that say
+which quantity they are: one that bears another's is taken for a swap."""
+NEEDED = ("delta_sw", "v_kit", "torque", "enabled", "override", "psi", "v", "r")
+DIMENSION = {name: unit for name, (unit, _) in {**_REPORT, **_POSE}.items() if unit}
 """Quantity to SI unit; the others are flags and pure numbers."""
+_TELLING = {name: quantity for quantity, (_, names) in {**_REPORT, **_POSE}.items() for name in names.split()}
 
 
 def _is_angle(limit: Field[Any]) -> bool:
@@ -116,12 +132,12 @@ class CarConfig:
     @cached_property
     def report_frames(self) -> frozenset[int]:
         """Ids of the frames that make the kit's report."""
-        return self._frames_of({*REPORT, *self.fault_flags})
+        return self._frames_of({*_REPORT, *self.fault_flags})
 
     @cached_property
     def pose_frames(self) -> frozenset[int]:
         """Ids of the frames that make the pose."""
-        return self._frames_of(set(POSE))
+        return self._frames_of({*_POSE})
 
     def _frames_of(self, names: set[str]) -> frozenset[int]:
         return frozenset(reader.frame_id for reader in self.readers if reader.mappings.keys() & names)
@@ -189,29 +205,6 @@ def shipped(name: str) -> File:
     return folder / name
 
 
-TELLING = {
-    "delta_sw": "ANGLE SWA STEERING_ANGLE",
-    "echo": "CMD SCMD COMMAND",
-    "v_kit": "VEH_VEL VEHICLE_SPEED",
-    "torque": "TORQUE TRQ",
-    "enabled": "ENABLED",
-    "override": "OVERRIDE OVR",
-    "timeout": "TMOUT TIMEOUT",
-    "brake": "BRAKE BRAKE_PRESSED",
-    "accelerator": "ACCELERATOR GAS THROTTLE",
-    "x": "X EAST POS_X",
-    "y": "Y NORTH POS_Y",
-    "lat": "LAT LATITUDE",
-    "lon": "LON LONGITUDE",
-    "psi": "PSI HEADING YAW",
-    "v": "V SPEED VELOCITY",
-    "r": "R YAW_RATE YAWRATE",
-    "beta": "BETA SIDESLIP",
-    "a_y": "A_Y AY LAT_ACC",
-    "quality": "QUALITY FIX",
-    "stamp": "STAMP TIME TIMESTAMP",
-}
-"""Names of signals that say which quantity they are: one that bears another's is taken for a swap."""
 DANGEROUS = re.compile(r"IGN|CAL|TEST|DIAG|QUIET|BYPASS|OVERRIDE|DISABLE", re.I)
 """Signals of a command that switch protection off: they stay 0, and are none of ours."""
 WRITTEN = {
@@ -240,10 +233,9 @@ def _signals(config: CarConfig) -> Iterator[str]:
             if guards.count(name) > 1 or (reader.name, name) in homes:
                 each = "expected a signal each for counter, CRC and what is read"
                 yield f"[protect] {reader.name}: {name} has two parts, {each}"
-    own = {name: quantity for quantity, names in TELLING.items() for name in names.split()}
     for quantity, mapping in config.quantities.items():
-        other = own.get(mapping.signal.upper(), quantity)
-        if quantity in TELLING and other != quantity:
+        other = _TELLING.get(mapping.signal.upper(), quantity)
+        if quantity not in config.fault_flags and other != quantity:
             yield f"[read.{quantity}] signal = {mapping.signal!r} is named like {other}; are the two swapped?"
     if not config.fault_flags:
         yield "[read.faults] signals = [], expected at least one flag that is 1 when the kit is broken"
@@ -554,7 +546,7 @@ class Reading:
         return Mapping(frame=message.name, signal=signal.name, unit=unit, scale=scale, sign=sign, offset=offset)
 
     def reading(self, database: Any) -> list[FrameReader]:
-        table = self.table("read", (*REPORT, *(p for p in POSE if p not in ("lat", "lon")), "faults", "gnss"))
+        table = self.table("read", (*_REPORT, *(p for p in _POSE if p not in ("lat", "lon")), "faults", "gnss"))
         gnss = self.table("read.gnss", ("lat", "lon", "origin_deg"), inside=table)
         entries = {k: v for k, v in table.items() if k not in ("faults", "gnss")}
         if gnss and ({"x", "y"} & entries.keys()):

@@ -142,15 +142,8 @@ def serve_simulated(
                 except ValueError as error:
                     print(error, flush=True)
             if log:
-                state = {
-                    "t": now,
-                    "s": car.on_path.s,
-                    "progress": car.on_path.progress,
-                    "e": car.on_path.e,
-                    "v": car.now.v,
-                    "enabled": car.enabled,
-                    "timeout": car.timeout,
-                }
+                place, kit = car.on_path, {"enabled": car.enabled, "timeout": car.timeout}
+                state = {"t": now, "s": place.s, "progress": place.progress, "e": place.e, "v": car.now.v, **kit}
                 log.write(json.dumps(state) + "\n")
                 log.flush()
 
@@ -187,22 +180,16 @@ def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
 
 def engage(socket_path: str, *, timeout: float = 20.0) -> None:
     """Arm, acknowledge and engage as an operator would, waiting for READY; for tests and simulated cars."""
+    orders = {Mode.OFF: Order.ARM, Mode.READY: Order.ENGAGE, Mode.FAULT: Order.ACKNOWLEDGE}
+    orders[Mode.OVERRIDE] = Order.ACKNOWLEDGE
+    end = time.monotonic() + timeout
     with CarClient(socket_path, controller=False) as operator:
-        end = time.monotonic() + timeout
-        while True:
+        while (snapshot := operator.query()).mode is not Mode.ENGAGED:
             operator.beat()
-            snapshot = operator.query()
-            match snapshot.mode:
-                case Mode.ENGAGED:
-                    return
-                case Mode.OFF:
-                    operator.order(Order.ARM)
-                case Mode.FAULT | Mode.OVERRIDE:
-                    operator.order(Order.ACKNOWLEDGE)
-                case Mode.READY:
-                    operator.order(Order.ENGAGE)
-                case Mode.STANDBY if "kit " in snapshot.text:  # it has a fault latched
-                    operator.order(Order.ACKNOWLEDGE)
+            if snapshot.mode in orders:
+                operator.order(orders[snapshot.mode])
+            elif "kit " in snapshot.text:  # it has a fault latched
+                operator.order(Order.ACKNOWLEDGE)
             if time.monotonic() > end:
                 raise CarLost(f"not engaged within {timeout:g} s: {snapshot.mode}: {snapshot.text}")
             time.sleep(0.05)

@@ -502,17 +502,10 @@ def repair(
     return recorded, place
 
 
-def replay(recorded: Recorded, core: Core) -> list[tuple[float, Send]]:
-    """The frames that `core`, new, sends when it is given the recorded events."""
-    sent = []
-    for event in recorded.events():
-        sent += [(event.t, out) for out in core.handle(event) if isinstance(out, Send)]
-    return sent
-
-
 def replayed_exactly(recorded: Recorded, core: Core) -> tuple[int, int]:
-    """(frames sent in the recording, how many of them the replay gives bit for bit at the same moment)."""
+    """(frames sent in the recording, how many of them `core`, new, sends bit for bit at the same moment)."""
     before = [(v["t"], v["frame_id"], v["data"]) for v in recorded.of("/can/tx")]
-    after = [(t, s.frame_id, s.data.hex()) for t, s in replay(recorded, core)]
+    answers = ((event.t, out) for event in recorded.events() for out in core.handle(event))
+    after = [(t, out.frame_id, out.data.hex()) for t, out in answers if isinstance(out, Send)]
     same = sum(a == b for a, b in zip(before, after))
     return len(before), same if len(after) == len(before) else min(same, len(before) - 1)

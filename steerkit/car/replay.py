@@ -60,10 +60,9 @@ def drives(recorded: Recorded) -> Iterator[Drive]:
     drive, link = Drive(), -1
     for topic, values, *_ in recorded.messages:
         if topic == "/car":
-            known = {k: v for k, v in values.items() if k in Snapshot._fields}
-            drive.snapshots.append(Snapshot(**{**known, "mode": Mode(values["mode"])}))
+            drive.snapshots.append(Snapshot(**{**values, "mode": Mode(values["mode"])}))
         elif topic == "/client":
-            match decode_or_none(values["data"]):
+            match _message(values["data"]):
                 case Hello(controller=True):
                     if drive.requests:
                         yield drive
@@ -85,7 +84,7 @@ def drives(recorded: Recorded) -> Iterator[Drive]:
         yield drive
 
 
-def decode_or_none(data: str) -> object:
+def _message(data: str) -> object:
     """The message in a recorded packet; None for one that the car server refused as unknown."""
     try:
         return decode(bytes.fromhex(data))

@@ -144,14 +144,6 @@ def test_a_terminal_that_reads_nothing_more_or_is_gone_lets_go(tmp_path: Path) -
     assert recorded.of("/state")[-1]["to"] == "OFF"
 
 
-def test_without_colours_where_there_is_no_wish_for_them(tmp_path: Path) -> None:
-    with terminal(tmp_path, *DRIVE, NO_COLOR="1") as there:
-        there.until(r"READY[\s\S]*╰")
-        assert not re.search(r"\x1b\[[0-9;]*3[0-7]m", there.text)
-        there.press("q")
-        assert there.end() == 0
-
-
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_a_dumb_terminal_gets_lines_and_still_keys_and_ends_in_order(ending: signal.Signals, tmp_path: Path) -> None:
     """Ctrl-C works at a keyboard even where a parent had it ignored; the car server gets the order to let go."""

@@ -37,9 +37,10 @@ from tests.support.programs import alive
 CONFIG = "dbw-kit.toml"
 
 
-@pytest.fixture(params=["", "127.0.0.1:0"], ids=["pty", "tcp"])
+@pytest.fixture
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, Any]]:
-    simulated, channel = processes.start_simulated(CONFIG, log=str(tmp_path / "car.jsonl"), listen=request.param)
+    listen = getattr(request, "param", "")
+    simulated, channel = processes.start_simulated(CONFIG, log=str(tmp_path / "car.jsonl"), listen=listen)
     text = (tmp_path / "server.log").open("w")
     socket, record = str(tmp_path / "socket"), tmp_path / "drive.mcap"
     server = processes.start_car_server(CONFIG, socket, recording=str(record), channel=channel, log=text)
@@ -50,31 +51,28 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[dict[str, 
     text.close()
 
 
-def drive(bench: dict[str, Any], seconds: float, name: str = "stanley") -> tuple[Mode, int]:
-    """Engage, and drive with a controller; the mode at the end, and how many steps were engaged."""
-    config = load(CONFIG)
-    path = configured.course_of(config)
-    engaged = 0
+def drive(socket: str, name: str = "stanley", *, seconds: float = 20.0, most: int = 10**9, scale: float = 1.0) -> int:
+    """Engage once, and drive with a controller, for so many engaged steps at the most; returns how many they were."""
+    config, path = configured.loaded(CONFIG)
+    modes: list[Mode] = []
     with (
-        processes.attended(bench["socket"]),
-        CarClient(bench["socket"], timeout=5.0) as link,
-        CarClient(bench["socket"], controller=False) as operator,
+        processes.attended(socket),
+        CarClient(socket, timeout=5.0) as link,
+        CarClient(socket, controller=False, timeout=5.0) as operator,
     ):
 
-        def watch(run: Any) -> None:
-            nonlocal engaged
+        def watch(run: Any) -> bool:
             assert link.last is not None
-            engaged += link.last.mode is Mode.ENGAGED
-            if link.last.mode is Mode.OFF:
+            modes.append(link.last.mode)
+            if modes[-1] is Mode.OFF:
                 operator.order(Order.ARM)
-            elif link.last.mode is Mode.READY and not engaged:
+            elif modes[-1] is Mode.READY and Mode.ENGAGED not in modes:
                 operator.order(Order.ENGAGE)
+            return modes.count(Mode.ENGAGED) > most
 
-        loops.drive(
-            config, path, link, loops.controller_named(name, config), duration=seconds, clock=Clock(), watch=watch
-        )
-        assert link.last is not None
-        return link.last.mode, engaged
+        controller, clock = loops.controller_named(name, config), Clock(scale=scale)
+        loops.drive(config, path, link, controller, duration=seconds, clock=clock, watch=watch)
+    return modes.count(Mode.ENGAGED)
 
 
 def commands(bench: dict[str, Any]) -> list[dict[str, Any]]:
@@ -82,9 +80,9 @@ def commands(bench: dict[str, Any]) -> list[dict[str, Any]]:
     return [line for line in lines if "enable" in line]
 
 
-@pytest.mark.parametrize("name", ["stanley", "mpc"])
+@pytest.mark.parametrize(("bench", "name"), [("", "stanley"), ("127.0.0.1:0", "mpc")], indirect=["bench"])
 def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str) -> None:
-    _, engaged = drive(bench, 2.5, name)
+    engaged = drive(bench["socket"], name, seconds=2.5)
     bench["server"].terminate()
     assert bench["server"].wait(20.0) == 0
     assert engaged > 0
@@ -109,7 +107,7 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
 
 
 def test_kill_the_car_server(bench: dict[str, Any]) -> None:
-    drive(bench, 1.5)
+    drive(bench["socket"], seconds=1.5)
     with CarClient(bench["socket"]) as link:
         os.kill(bench["server"].pid, signal.SIGKILL)
         bench["server"].wait(20.0)
@@ -125,18 +123,6 @@ def test_kill_the_car_server(bench: dict[str, Any]) -> None:
     assert last > 0
 
 
-def test_one_controller_at_a_time_and_orders_are_answered(bench: dict[str, Any]) -> None:
-    with CarClient(bench["socket"]), CarClient(bench["socket"], controller=False) as operator:
-        with pytest.raises(CarLost, match="there is a controller already"):
-            CarClient(bench["socket"])
-        operator.order(Order.ENGAGE)
-        operator.query()
-        assert "not engaged from OFF" in operator.refused[0]
-        operator.request(0.0)
-        operator.query()
-        assert "only the controller" in operator.refused[1]
-
-
 def test_another_interface_of_python_can(tmp_path: Path) -> None:
     """Car, server and controller over python-can's `virtual`, in three threads; its `CarServer` is the processes' own.
 
@@ -150,27 +136,11 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
     server = CarServer(
         config, path, socket, recording=recordings.Recording(tmp_path / "drive.mcap", {"a": "b"}), clock=clock
     )
-    modes: list[Mode] = []
+    engaged: list[int] = []
 
     def control() -> None:
         try:
-            with (
-                processes.attended(socket),
-                CarClient(socket, timeout=5.0) as link,
-                CarClient(socket, controller=False, timeout=5.0) as operator,
-            ):
-
-                def watch(run: Any) -> bool:
-                    assert link.last is not None
-                    modes.append(link.last.mode)
-                    if modes[-1] is Mode.OFF:
-                        operator.order(Order.ARM)
-                    elif modes[-1] is Mode.READY:
-                        operator.order(Order.ENGAGE)
-                    return modes.count(Mode.ENGAGED) > 10
-
-                stanley = loops.controller_named("stanley", config)
-                loops.drive(config, path, link, stanley, duration=20.0, clock=clock, watch=watch)
+            engaged.append(drive(socket, most=10, scale=0.2))
         finally:
             server.stop()
 
@@ -183,7 +153,7 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    assert modes.count(Mode.ENGAGED) > 10
+    assert engaged == [11]
     assert car.commands > 10
     recorded = recordings.read(tmp_path / "drive.mcap")
     frames, same = recordings.replayed_exactly(recorded, Core(config, path))
@@ -195,6 +165,11 @@ def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> N
         open_bus({"interface": "nope", "channel": "x"})
     with (tmp_path / "server.log").open("w") as log, pytest.raises(CarLost, match=r"/dev/nowhere.*server\.log"):
         processes.start_car_server(CONFIG, str(tmp_path / "socket"), channel="/dev/nowhere", log=log)
+
+
+def limited(size: int) -> None:
+    """No file of this process, nor of those it starts, may grow beyond that."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
 @pytest.mark.parametrize("keep", [False, True])
@@ -209,7 +184,7 @@ def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: boo
             {"config": str(tmp_path / "car.toml"), "channel": "virtual:x", "recording": str(record), "socket": socket},
             stdout=stream,
             stderr=stream,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY)),
+            preexec_fn=lambda: limited(40_000),
         )
     try:
         end = time.monotonic() + 60.0
@@ -232,21 +207,11 @@ def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: boo
     assert len(recorded.messages) > 20
 
 
-def limited() -> None:
-    """No file of this process, nor of those it starts, may grow beyond 60 kB."""
-    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
-
-
-@pytest.mark.parametrize("words", [("drive", "--controller", "stanley"), ("learn", "--out", "run")])
-def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path, words: tuple[str, ...]) -> None:
-    command = [sys.executable, "-m", "steerkit", *words, "--car", CONFIG, "--simulated", "--minutes", "0.08", "--quiet"]
+def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path) -> None:
+    words = ["drive", "stanley", "--car", CONFIG, "--simulated", "--minutes", "0.08", "--quiet"]
+    command = [sys.executable, "-m", "steerkit", *words, "--recording", "drive.mcap"]
     done = subprocess.run(
-        [*command, "--recording", "drive.mcap"],
-        cwd=tmp_path,
-        preexec_fn=limited,
-        capture_output=True,
-        text=True,
-        timeout=180.0,
+        command, cwd=tmp_path, preexec_fn=lambda: limited(60_000), capture_output=True, text=True, timeout=180.0
     )
     assert done.returncode == 2, done.stderr
     assert "the car server ended badly: " in done.stderr

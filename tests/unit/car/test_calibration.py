@@ -14,6 +14,16 @@ from steerkit.car.state_machine import Mode, Order
 from tests.support.calibrated_car import PATH, CalibratedWorld, Made
 
 
+def engaged(minutes: float, seconds: float, **more: Any) -> tuple[CalibratedWorld, Any]:
+    """A guided drive that was engaged so many seconds ago, and its guide."""
+    world = CalibratedWorld(minutes=minutes, **more)
+    world.order(Order.ARM)
+    world.until(world.t + 0.2)
+    world.order(Order.ENGAGE)
+    world.until(world.t + seconds)
+    return world, world.guided
+
+
 def test_all_waves_are_driven_within_the_gates_limits_and_near_the_course(calibration: Made) -> None:
     world = calibration.world
     assert world.over
@@ -57,15 +67,7 @@ def test_a_changed_sample_is_noticed_by_the_replay(calibration: Made) -> None:
 
 
 def test_the_clock_stands_while_the_human_has_the_wheel_and_the_wave_goes_on_later() -> None:
-    world = CalibratedWorld(minutes=0.4)
-    guided: Any = world.guided
-    world.until(world.t + 1.0)
-    assert guided.driven == 0.0
-    assert "until you engage" in guided.status()
-    world.order(Order.ARM)
-    world.until(world.t + 0.2)
-    world.order(Order.ENGAGE)
-    world.until(world.t + 3.0)
+    world, guided = engaged(0.4, 3.0)
     driven = guided.driven
     assert driven == pytest.approx(3.0, abs=0.1)
     assert guided.status().startswith("sine, the wheel swings slowly: 3 s of driving left, then steps")
@@ -73,6 +75,7 @@ def test_the_clock_stands_while_the_human_has_the_wheel_and_the_wave_goes_on_lat
     world.until(world.t + 1.0)
     assert world.mode is Mode.OVERRIDE
     assert guided.driven == pytest.approx(driven, abs=0.1)
+    assert "until you engage" in guided.status()
     world.order(Order.ACKNOWLEDGE)
     world.until(world.t + 0.2)
     assert world.mode is Mode.READY, "nothing engages by itself"
@@ -84,24 +87,14 @@ def test_the_clock_stands_while_the_human_has_the_wheel_and_the_wave_goes_on_lat
 
 
 def test_below_3_metres_a_second_the_clock_stands_and_says_so() -> None:
-    world = CalibratedWorld(minutes=0.4, v=(2.5, 2.6))
-    guided: Any = world.guided
-    world.order(Order.ARM)
-    world.until(world.t + 0.2)
-    world.order(Order.ENGAGE)
-    world.until(world.t + 1.0)
+    world, guided = engaged(0.4, 1.0, v=(2.5, 2.6))
     assert world.mode is Mode.ENGAGED
     assert guided.driven == 0.0
     assert f"below {SLOWEST:g} m/s" in guided.status()
 
 
 def test_the_operator_is_warned_before_the_end(calibration: Made) -> None:
-    world = CalibratedWorld(minutes=0.1)
-    guided: Any = world.guided
-    world.order(Order.ARM)
-    world.until(world.t + 0.2)
-    world.order(Order.ENGAGE)
-    said = []
+    (world, guided), said = engaged(0.1, 0.0), []
     while not world.over:
         world.until(world.t + 0.05)
         said.append(guided.status())

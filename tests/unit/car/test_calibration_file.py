@@ -143,22 +143,16 @@ def test_nothing_but_a_vehicle_file_is_written_over(tmp_path: Path, name: str, t
         module.check_place(tmp_path / name)
 
 
-def test_every_estimate_has_a_place(made: Calibrated) -> None:
-    assert [*made.found] == [*ESTIMATES]
-
-
 def test_from_the_command_line_as_json(
-    calibration: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    record: Path, made: Calibrated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "mine.toml"
-    assert (
-        run("car", "calibrate", "--from", str(calibration.record), "--out", str(out), "--json", monkeypatch=monkeypatch)
-        == 0
-    )
+    assert run("car", "calibrate", "--from", f"{record}", "--out", f"{out}", "--json", monkeypatch=monkeypatch) == 0
+    assert [*made.found] == [*ESTIMATES]
     printed_json = json.loads(capsys.readouterr().out)
     assert (printed_json["vehicle_file"], out.is_file()) == (str(out), True)
     assert printed_json["estimates"]["steer_ratio"]["valid"] is True
-    assert run("car", "replay", str(calibration.record), monkeypatch=monkeypatch) == 0
+    assert run("car", "replay", f"{record}", monkeypatch=monkeypatch) == 0
     printed = capsys.readouterr().out
     estimates, same = re.search(r"estimates: (\d+) of (\d+) the same", printed).groups()  # type: ignore[union-attr]
     assert estimates == same != "0"
