@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -14,6 +15,8 @@ from steerkit._support.console import console
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit._support.plugins import fingerprint, is_outside
+from steerkit.car import loop as loops
+from steerkit.car import session as car_session
 from steerkit.cli.options import (
     DriveOptions,
     Stream,
@@ -38,11 +41,7 @@ from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.catalogue import CONTROLLERS
 
-_CONTROLLERS = (
-    "stanley, stanley-textbook, stanley-delay, lqr, pure-pursuit, mpc, nonlinear-mpc, "
-    "stanley-offset-free, lqr-offset-free, mpc-offset-free, stanley-adaptive, lqr-adaptive, mpc-adaptive, "
-    "nfq, a run's directory, or your own: my_file.py:make."
-)
+_VALID = f"{', '.join(CONTROLLERS)}, nfq, the directory of a learning run, or your own: my_file.py:make"
 
 
 @drive_options
@@ -50,7 +49,7 @@ def drive(
     ctx: typer.Context,
     options: DriveOptions,
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="CONTROLLER...", show_default=False, help=_CONTROLLERS)
+        list[str] | None, typer.Argument(metavar="CONTROLLER...", show_default=False, help=f"{_VALID}.")
     ] = None,
     controller: Annotated[
         str, typer.Option(help="The same as an option; nfq: what `learn`, called alike, has learned.")
@@ -84,21 +83,16 @@ def drive(
     asked = asked or [controller] * bool(controller)
     name = asked[0] if asked else ""
     if options.car:
-        from steerkit.car import loop as loops  # here, as a simulation needs none of it
-        from steerkit.car import session as car_session
-
         if len(asked) > 1:
             raise ValueError(f"drive: {len(asked)} controllers ({', '.join(asked)}), expected one on a car")
         if not name:
             raise ValueError(f"drive: with which controller? valid: {loops.VALID}")
-        figures = car_session.drive(car_options(ctx), name, minutes=minutes)
+        figures = car_session.drive(car_session.Options(**car_options(ctx)), name, minutes=minutes)
         if options.as_json:
             print(json.dumps(figures))
         return
     if not name:
-        valid = ", ".join(CONTROLLERS)
-        own = "the directory of a learning run, my_file.py:make"
-        raise ValueError(f"drive: with which controller? valid: {valid}, nfq, {own}")
+        raise ValueError(f"drive: with which controller? valid: {_VALID}")
     if animate is not None:
         require(animate.suffix in (".gif", ".mp4"), f"--animate {animate}", "expected a name that ends in .gif or .mp4")
         film_writer(animate)
@@ -209,13 +203,13 @@ def _described(names: Sequence[str], scenario: Scenario, *, rounds: float | None
 
 def _place_of_its_own(place: Path, what: dict[str, Any]) -> Path:
     """`place`, or `place`-2 and so on where that holds another drive: none is written over by a different one."""
-    number = 1
-    while True:
-        chosen = place if number == 1 else place.with_name(f"{place.name}-{number}")
-        note = chosen / NOTE
-        if not chosen.exists() or (note.is_file() and json.loads(note.read_text(encoding="utf-8")) == what):
-            return chosen
-        number += 1
+
+    def free(place: Path) -> bool:
+        note = place / NOTE
+        return not place.exists() or (note.is_file() and json.loads(note.read_text(encoding="utf-8")) == what)
+
+    others = (place.with_name(f"{place.name}-{number}") for number in itertools.count(2))
+    return next(filter(free, itertools.chain([place], others)))
 
 
 def _learned(where: str, seed: int) -> str:

@@ -13,7 +13,6 @@ from rich.console import Console
 from steerkit._support.files import write_text
 from steerkit.diagram.simulation import Log
 from steerkit.export import car as cars
-from steerkit.export.onnx import check_onnx, export_onnx
 from steerkit.learning import rundir
 from steerkit.logs import read_drive
 from steerkit.logs.foxglove import layout as write_layout
@@ -99,10 +98,11 @@ def _car(file: Path, yaml: Path | None, row: Path | None) -> None:
 
 
 def _to_onnx(run: Path, file: Path, single: bool) -> dict[str, Any]:
-    policy = rundir.final_policy(run)
-    export_onnx(policy, file, single=single)
-    states = 10_000
-    difference = check_onnx(policy, file, states=states)
+    from steerkit.export import onnx  # here, as the extra `export` may not be there
+
+    policy, states = rundir.final_policy(run), 10_000
+    onnx.export_onnx(policy, file, single=single)
+    difference = onnx.check_onnx(policy, file, states=states)
     bound = 1e-4 if single else 1e-6
     if not difference["q"] <= bound:
         file.unlink()

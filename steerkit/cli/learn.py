@@ -13,6 +13,8 @@ import typer
 from steerkit._support.console import console
 from steerkit._support.errors import require
 from steerkit._support.files import read_toml
+from steerkit.car import loop as loops
+from steerkit.car import session as car_session
 from steerkit.cli.options import (
     DriveOptions,
     Machine,
@@ -70,13 +72,14 @@ def learn(
     """Let a car learn to steer a course from nothing; the recovery controller takes over where it fails."""
     check_options(ctx)
     if options.car:
-        from steerkit.car import loop as loops  # here, as a simulation needs none of it
-        from steerkit.car import session as car_session
-
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
         figures = car_session.learn(
-            car_options(ctx), chosen, place, minutes=_minutes(minutes, None) or 0.0, seed=options.seed
+            car_session.Options(**car_options(ctx)),
+            chosen,
+            place,
+            minutes=_minutes(minutes, None) or 0.0,
+            seed=options.seed,
         )
         if options.as_json:
             print(json.dumps(figures))

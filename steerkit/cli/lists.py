@@ -15,6 +15,7 @@ from rich.table import Table
 from steerkit.cli.options import Machine
 from steerkit.paths import importers
 from steerkit.paths.courses import course, names
+from steerkit.paths.path import Path as CoursePath
 from steerkit.plants.steering_actuator import steering_in
 from steerkit.plots.course import plot_course
 from steerkit.plots.style import save
@@ -58,12 +59,7 @@ def courses(
         raise ValueError(
             "--to and --plot make something of a map's file; name it: steerkit courses lap.gpx --to lap.csv"
         )
-    rows: list[dict[str, Any]] = []
-    for name in names():
-        path = course(name)
-        sharpest = float(abs(path.samples.kappa).max())
-        radius = 1.0 / sharpest if sharpest > 1e-6 else None
-        rows.append({"course": name, "length_m": path.length, "closed": path.closed, "tightest_radius_m": radius})
+    rows = [_of_path(name, course(name)) for name in names()]
     if as_json:
         print(json.dumps({"courses": rows, "also": ALSO}))
         return
@@ -107,11 +103,14 @@ def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_jso
 _SPEEDS = {"v": "as driven", "v_limit": "allowed"}
 
 
-def _row(made: importers.Course) -> dict[str, Any]:
-    path = made.path
+def _of_path(name: str, path: CoursePath) -> dict[str, Any]:
     sharpest = float(abs(path.samples.kappa).max())
-    row: dict[str, Any] = {"course": path.name, "length_m": path.length, "closed": path.closed}
-    row["tightest_radius_m"] = 1.0 / sharpest if sharpest > 1e-6 else None
+    radius = 1.0 / sharpest if sharpest > 1e-6 else None
+    return {"course": name, "length_m": path.length, "closed": path.closed, "tightest_radius_m": radius}
+
+
+def _row(made: importers.Course) -> dict[str, Any]:
+    row = _of_path(made.path.name, made.path)
     for key, speeds in (("v", made.v), ("v_limit", made.v_limit)):
         row[key] = None if speeds is None else [float(np.nanmin(speeds)), float(np.nanmax(speeds))]
     return row

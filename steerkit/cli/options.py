@@ -247,9 +247,6 @@ def check_options(
             raise ValueError(f"{option} is for a car; name its file: --car dbw-kit.toml, or leave {option} out")
 
 
-def car_options(ctx: typer.Context) -> Any:
-    """The options of a session on a car, `steerkit.car.session.Options`."""
-    from steerkit.car.session import Options  # here, as it loads the learner
-
-    p = ctx.params
-    return Options(config=p["car"], **{n: p[n] for n in (*_ON_A_CAR_ONLY, "quiet")})
+def car_options(ctx: typer.Context) -> dict[str, Any]:
+    """The options of a session on a car: the fields of `steerkit.car.session.Options`."""
+    return {"config": ctx.params["car"], **{name: ctx.params[name] for name in (*_ON_A_CAR_ONLY, "quiet")}}

@@ -21,6 +21,11 @@ from steerkit.compiled.trace import Trace, flattened, parameter, trace
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Signal
 
+try:
+    from pythonfmu.builder import FmuBuilder
+except ImportError as why:
+    raise ImportError("steerkit.export.fmu needs pythonfmu: pip install 'steerkit-control[export]'") from why
+
 _SLAVE = '''
 
 class {name}(Fmi2Slave):
@@ -79,12 +84,8 @@ def export_fmu(
     (FMU state), and gives the numbers of `simulate`.
 
     Raises TraceError for a loop that cannot be compiled, KeyError for an unknown signal, ValueError for a vector signal
-    or a file name that is no identifier with the ending .fmu, ImportError without pythonfmu.
+    or a file name that is no identifier with the ending .fmu.
     """
-    try:
-        from pythonfmu.builder import FmuBuilder
-    except ImportError as why:
-        raise ImportError("export_fmu needs pythonfmu: pip install 'steerkit-control[export]'") from why
     target = Path(file)
     fits = target.suffix == ".fmu" and re.fullmatch(r"[A-Za-z]\w*", target.stem)
     require(fits, "export_fmu", f"file {target.name!r}, expected letters, digits and _, and the ending .fmu")

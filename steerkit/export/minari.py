@@ -8,12 +8,18 @@ import warnings
 from itertools import pairwise
 from typing import Any
 
-import gymnasium
 import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.gym.task import Task
 from steerkit.learning.data.transitions import Transitions
+
+try:
+    import gymnasium
+    import minari
+    from minari.data_collector import EpisodeBuffer
+except ImportError as why:
+    raise ImportError("steerkit.export.minari needs minari: pip install 'steerkit-control[export]'") from why
 
 
 def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, description: str = "") -> Any:
@@ -25,14 +31,8 @@ def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, descript
     in the environment: the store and Parquet keep every bit, this does not.
 
     Raises ValueError for other columns than the task's, an action that is none of the task's, or a data set that
-    exists already; ImportError without minari or pyarrow.
+    exists already.
     """
-    try:
-        import minari
-        import pyarrow  # noqa: F401
-        from minari.data_collector import EpisodeBuffer
-    except ImportError as why:
-        raise ImportError("to_minari needs minari and pyarrow: pip install 'steerkit-control[export]'") from why
     where, names = "to_minari", transitions.names
     require(len(transitions) > 0, where, "no transitions, expected at least one")
     fault = f"columns {names}, but the task has {task.description.names}"

@@ -1,7 +1,4 @@
-"""Learned policies as ONNX models, for runtimes in other languages, and the check that they agree with the block.
-
-Needs onnx, and onnxruntime for the check (extra `export`).
-"""
+"""Learned policies as ONNX models, for runtimes in other languages, and the check that they agree with the block."""
 
 from __future__ import annotations
 
@@ -20,6 +17,14 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import ACTION, COLUMNS, UNITS
 from steerkit.controllers.state_description import StateDescription
 
+try:
+    import onnx
+    import onnxruntime
+except ImportError as why:
+    raise ImportError(
+        "steerkit.export.onnx needs onnx and onnxruntime: pip install 'steerkit-control[export]'"
+    ) from why
+
 Array = NDArray[np.float64]
 OPSET = 17
 
@@ -33,7 +38,7 @@ def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *,
     nearly equal cost may come out differently. Names, units and ranges stand in the model's metadata.
 
     Raises ValueError for a policy without nets, or one that is more than its nets (a forecast, actions between those of
-    its set); TypeError for a block that holds no net; ImportError without onnx.
+    its set); TypeError for a block that holds no net.
     """
     graph = _Graph(single)
     if isinstance(block, NfqPolicy):
@@ -58,12 +63,8 @@ def check_onnx(
     """The largest differences between block and model, over random states of twice the description's ranges.
 
     Returns `action` [rad] and, of an NfqPolicy, `q` [1]. Two actions whose costs are the same but for rounding are no
-    difference. Raises ImportError without onnxruntime.
+    difference.
     """
-    try:
-        import onnxruntime
-    except ImportError as why:
-        raise ImportError("check_onnx needs onnxruntime: pip install 'steerkit-control[export]'") from why
     d = block.description
     s = d.mid + d.half * np.random.default_rng(seed).uniform(-2.0, 2.0, (states, len(d.names)))
     session = onnxruntime.InferenceSession(os.fspath(file), providers=["CPUExecutionProvider"])
@@ -90,16 +91,14 @@ def _equally_good(policy: NfqPolicy, u: Any, answer: Array, rounding: float) -> 
     return found
 
 
-def _column(graph: _Graph, state: str, name: str) -> str:
-    return graph.op("Gather", state, graph.whole([COLUMNS.index(name)]), axis=1)
-
-
 def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
     """The graph of the greedy policy; its nets see the state and, in the last column, the action."""
     order, d = sorted(policy.actions, key=abs), policy.description  # of equal values the gentlest action's comes first
     state, excess = "state", None
     if d.scaled_from < math.inf:  # see StateDescription.scaled
-        v, e_dot, psi_e = (_column(graph, state, name) for name in ("v", "e_dot", "psi_e"))
+        v, e_dot, psi_e = (
+            graph.op("Gather", state, graph.whole([COLUMNS.index(name)]), axis=1) for name in ("v", "e_dot", "psi_e")
+        )
         excess = graph.op("Max", graph.op("Div", v, graph.number(d.scaled_from)), graph.number(1.0))
         turning = graph.op("Sub", graph.op("Div", e_dot, graph.op("Max", v, graph.number(d.scaled_from))), psi_e)
         more = graph.op("Mul", turning, graph.op("Sub", graph.op("Mul", excess, excess), excess))
@@ -159,11 +158,6 @@ class _Graph:
     """Nodes and constants while a model is being made."""
 
     def __init__(self, single: bool):
-        try:
-            import onnx
-        except ImportError as why:
-            raise ImportError("export_onnx needs onnx: pip install 'steerkit-control[export]'") from why
-        self.onnx = onnx
         self.float: Any = np.float32 if single else np.float64
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
@@ -178,18 +172,18 @@ class _Graph:
 
     def _constant(self, array: NDArray[Any]) -> str:
         name = f"c{len(self._constants)}"
-        self._constants.append(self.onnx.numpy_helper.from_array(array, name))
+        self._constants.append(onnx.numpy_helper.from_array(array, name))
         return name
 
     def op(self, kind: str, *inputs: str, **attributes: Any) -> str:
         """A node; returns the name of what it computes."""
         name = f"{kind.lower()}{len(self._nodes)}"
-        self._nodes.append(self.onnx.helper.make_node(kind, list(inputs), [name], **attributes))
+        self._nodes.append(onnx.helper.make_node(kind, list(inputs), [name], **attributes))
         return name
 
     def finish(self, file: str | os.PathLike[str], d: StateDescription, dt: float, **outputs: str | None) -> None:
         """Write the model with these outputs, which are NaN where the state is not sound."""
-        helper = self.onnx.helper
+        helper = onnx.helper
         kind = helper.np_dtype_to_tensor_dtype(np.dtype(self.float))
         total = self.op("ReduceSum", "state", self.whole([1]), keepdims=0)
         largest = 1e300 if self.float is np.float64 else 1e38
@@ -217,6 +211,6 @@ class _Graph:
         )
         about = {"columns": columns, "low": list(d.low), "high": list(d.high), "sample_time_s": dt}
         helper.set_model_props(model, {name: str(value) for name, value in about.items()})
-        self.onnx.checker.check_model(model, full_check=True)
+        onnx.checker.check_model(model, full_check=True)
         with open(file, "wb") as stream:
             stream.write(model.SerializeToString())

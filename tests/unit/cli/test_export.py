@@ -36,6 +36,6 @@ def test_mistakes_are_named(run: Path, cli: Any) -> None:
 def test_a_model_that_says_something_else_is_no_success(
     gap: float, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any
 ) -> None:
-    monkeypatch.setattr("steerkit.cli.export.check_onnx", lambda *_, **__: {"action": 0.0, "q": gap})
+    monkeypatch.setattr("steerkit.export.onnx.check_onnx", lambda *_, **__: {"action": 0.0, "q": gap})
     assert "its q differs from the policy's by" in cli("export", run, "--onnx", tmp_path / "p.onnx", code=2).err
     assert not (tmp_path / "p.onnx").exists()
