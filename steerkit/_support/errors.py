@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import math
 from collections.abc import Iterable
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,8 @@ def number(
 ) -> Any:
     """A dataclass field for a number [unit] from `low` (or above `above`) to `high`, or for one number per car.
 
-    `check_numbers` checks it; every block does so when it is made. NaN is never valid; with a default of None, None is.
+    `check_numbers` checks it; every block does so when it is made. A field of type int takes whole numbers only.
+    NaN is never valid; with a default of None, None is.
     """
     bounds = (unit, low if above is None else above, high, above is not None)
     return dataclasses.field(default=default, repr=repr, metadata={"number": bounds})
@@ -83,6 +85,8 @@ def check_numbers(of: Any, where: str) -> None:
         value = getattr(of, f.name)
         if "number" in f.metadata and not (value is None and f.default is None):
             unit, low, high, above = f.metadata["number"]
+            whole = f.type != "int" or isinstance(value, Integral)
+            require(whole, where, f"{f.name} = {value!r}, expected a whole number")
             require_within(where, f.name, value, unit, low, high, above=above)
 
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
-from steerkit._support.errors import require, require_within
+from steerkit._support.errors import number, require, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, entries_of, take_ports, without_port
 from steerkit.diagram.maths import Scalar
@@ -16,15 +16,6 @@ from steerkit.diagram.wrapper import require_ports
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.task import STOP
-
-
-class Believed(NamedTuple):
-    """What an adaptive controller believes of its car."""
-
-    delay: Scalar
-    """Dead time [s]."""
-    ratio: Scalar
-    """Steering ratio over the data sheet's [1]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,22 +57,23 @@ class Adaptive(Block):
     """Estimates the ratio."""
     prior_delay: float = 0.0
     """Dead time believed until there is an estimate [s]; too long a one does less harm than too short a one."""
-    lag: float = 0.1
+    lag: float = number(0.1, "s", low=0.0, high=10.0)
     """Lag of the steering for which `blocks` are designed [s]; what it is longer counts as dead time."""
-    ratio_least: float = 0.6
+    ratio_least: float = number(0.6, "1", low=0.1, high=1.0)
     """Smallest believed ratio, as a multiple of the data sheet's [1]."""
-    ratio_most: float = 1.6
+    ratio_most: float = number(1.6, "1", low=1.0, high=10.0)
     """Largest [1]."""
-    delay_rate: float = 0.5
+    delay_rate: float = number(0.5, "s/s", low=0.0, high=10.0)
     """Fastest change of the believed dead time [s/s]."""
-    ratio_rate: float = 0.1
+    ratio_rate: float = number(0.1, "1/s", low=0.0, high=10.0)
     """That of the ratio [1/s]."""
-    limit: float = STOP
+    limit: float = number(STOP, "rad", low=1e-3, high=30.0)
     """Largest |delta_sw| [rad]."""
     takes_turns: bool = False
     """Does another controller steer now and then, as beside a recovery controller? Then doe is what was commanded."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where, n = "Adaptive", len(self.delays)
         require(
             len(self.blocks) == n and n >= 2, where, f"{len(self.blocks)} blocks for {n} delays, expected 2 or more"
@@ -92,16 +84,7 @@ class Adaptive(Block):
         ports = [_units(block.inputs) | _units(block.outputs) for block in self.blocks]
         require(all(one == ports[0] for one in ports), where, "blocks have different ports, expected the same")
         require_ports(where, self.block, inputs=("v", "r"), outputs=("delta_sw",))
-        for name, unit, low, high in (
-            ("prior_delay", "s", self.delays[0], self.delays[-1]),
-            ("lag", "s", 0.0, 10.0),
-            ("ratio_least", "1", 0.1, 1.0),
-            ("ratio_most", "1", 1.0, 10.0),
-            ("delay_rate", "s/s", 0.0, 10.0),
-            ("ratio_rate", "1/s", 0.0, 10.0),
-            ("limit", "rad", 1e-3, 30.0),
-        ):
-            require_within(where, name, getattr(self, name), unit, low, high)
+        require_within(where, "prior_delay", self.prior_delay, "s", self.delays[0], self.delays[-1])
         take_ports(self, self.block)
         if not self.takes_turns:
             without_port(self, "doe")
@@ -128,9 +111,9 @@ class Adaptive(Block):
         inner = [value for block in (*self.blocks, self.delay, self.steering) for value in block.init(batch)]
         return (*inner, *[m.filled(value, batch) for value in (0.0, self.prior_delay, 1.0)])
 
-    def believed(self, x: State) -> Believed:
-        """Dead time and ratio in state `x`."""
-        return Believed(*x[-2:])
+    def believed(self, x: State) -> tuple[Scalar, Scalar]:
+        """Dead time [s] and steering ratio over the data sheet's [1] that it believes in state `x`."""
+        return x[-2], x[-1]
 
     def on_standby(self, x: State, settled: State) -> State:
         """The state `settled` with the estimates and beliefs of `x`, for a sample in which another controller steered.

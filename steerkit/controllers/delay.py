@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number, require
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, entries_of
@@ -59,10 +59,11 @@ class DelayPredictor(Block):
     """The controller: any with inputs among e, psi_e, kappa, v, r, delta_sw_meas and an output delta_sw."""
     model: Rollout = field(default_factory=Rollout)
     """The car and its steering as they are believed: delay, lag, geometry, tyres."""
-    preview_points: int = 1
+    preview_points: int = number(1, "1", low=1)
     """Entries of the preview; model.lookahead/preview_dt + 2 or more see the whole way."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where, have = "DelayPredictor", {p.name for p in self.inputs} - {"preview"} | {"kappa"}
         missing = {p.name for p in self.block.inputs} - have
         needs = f"{type(self.block).__name__} needs {', '.join(sorted(missing))}"
@@ -71,7 +72,6 @@ class DelayPredictor(Block):
         require(gives == ["delta_sw"], where, f"block with outputs {gives}, expected delta_sw only")
         for of, dt in (("the wrapped block", self.block.dt), ("the model", self.model.dt)):
             require(self.dt == dt, where, f"dt = {self.dt} s, but {of} has {dt} s")
-        require(self.preview_points >= 1, where, f"preview_points = {self.preview_points}, expected >= 1")
 
     @classmethod
     def around(cls, block: Block, vehicle: Vehicle, *, delay: float, lag: float, **steering: Any) -> DelayPredictor:

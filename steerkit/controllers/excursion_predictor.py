@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from steerkit._support.errors import require, require_within
+from steerkit._support.errors import number
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.maths import Scalar
@@ -46,17 +46,12 @@ class ExcursionPredictor(Block):
 
     gate: GateModel = field(default_factory=lambda: GateModel(v_doubt=0.0))
     """The gate, and the car's geometry and ratio."""
-    hold: float = 0.15
+    hold: float = number(0.15, "s", low=0.0, high=100.0)
     """Time until the wheels turn back: a sample, and the motor's lag [s]."""
-    horizon: float = 2.0
+    horizon: float = number(2.0, "s", above=0.0)
     """How far to look ahead [s]."""
-    weight: float = 0.4
+    weight: float = number(0.4, "1", above=0.0)
     """A trip at |e| = 0.5 m becomes one at a reach of 0.5/weight = 1.25 m too."""
-
-    def __post_init__(self) -> None:
-        require_within("ExcursionPredictor", "hold", self.hold, "s", 0.0, 100.0)
-        for name in ("horizon", "weight"):
-            require(getattr(self, name) > 0.0, "ExcursionPredictor", f"{name} = {getattr(self, name)}, expected > 0")
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         left, right = self._reach(u, 1.0), self._reach(u, -1.0)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number, require
 from steerkit.controllers.safety_filter import REASONS
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, State
@@ -49,7 +49,7 @@ class FailSafe(Wrapper):
 
     recovery = In("rad")
 
-    budget: float | None = None
+    budget: float | None = number(None, "s", above=0.0)
     """An answer that took longer is not used [s]; None: any may."""
     clock: Callable[[], float] | None = None
     """Seconds, for the budget."""
@@ -58,9 +58,8 @@ class FailSafe(Wrapper):
         where, outputs = "FailSafe", {port.name for port in self.block.outputs}
         wanted = {"delta_sw", "correction", "share", "reach", "reason"}
         require(outputs == wanted, where, f"block with outputs {', '.join(sorted(outputs))}, expected a SafetyFilter")
-        if self.budget is not None:
-            require(self.budget > 0.0, where, f"budget = {self.budget} [s], expected > 0, or None for no limit")
-            require(self.clock is not None, where, f"budget = {self.budget} [s] needs a clock")
+        timed = self.budget is None or self.clock is not None
+        require(timed, where, f"budget = {self.budget} [s] needs a clock")
         super().__post_init__()
 
     def seen(self, u: Any) -> Any:

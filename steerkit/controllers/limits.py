@@ -2,11 +2,56 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
+from steerkit._support.errors import number
 from steerkit.diagram import maths as m
+from steerkit.diagram.block import Block
 from steerkit.diagram.maths import Scalar
+from steerkit.diagram.units import radians_of
+from steerkit.task import STOP
+from steerkit.vehicles import Vehicle, require_vehicle
 from steerkit.vehicles.rollout import SLOWEST, slewed
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LimitedLaw(Block):
+    """Abstract base of a law whose command stays within stop, wheel speed and lateral acceleration: see `limited`."""
+
+    a_y_max: Scalar = number(2.9, "m/s^2", above=0.0)
+    """Lateral acceleration to stay within, unless the path asks for more [m/s^2]; the tyres' lag adds up to 0.1."""
+    a_y_reserve: Scalar = number(1.5, "m/s^2", low=0.0)
+    """Lateral acceleration beyond that of the path which corrections may always use [m/s^2]."""
+    rate_limit: Scalar = number(radians_of(550.0), "rad/s", above=0.0)
+    """Fastest command [rad/s]."""
+    slew: Scalar | None = number(None, "m/s^3", above=0.0)
+    """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: no bound."""
+    a_y_limit: Scalar | None = number(None, "m/s^2", above=0.0)
+    """Its largest lateral acceleration, which not even a path that asks for more exceeds [m/s^2]; None: no bound."""
+    wheelbase: Scalar = number(2.7, "m", above=0.0)
+    """L [m]."""
+    understeer: Scalar = 0.0
+    """Understeer gradient [rad s^2/m]."""
+    l_r: Scalar = number(1.35, "m", above=0.0)
+    """Centre of gravity to rear axle [m]."""
+    steer_ratio: Scalar = number(15.6, "1", above=0.0)
+    """Steering-wheel angle over road-wheel angle [1]."""
+    limit: Scalar = number(STOP, "rad", above=0.0)
+    """Largest |delta_sw| [rad]."""
+
+    @staticmethod
+    def geometry(vehicle: Vehicle, where: str) -> dict[str, Any]:
+        """The fields that a `Vehicle` knows; raises ValueError, in the name of `where`, for what is none."""
+        require_vehicle(vehicle, where)
+        return dict(
+            wheelbase=vehicle.wheelbase,
+            understeer=vehicle.understeer_gradient,
+            l_r=vehicle.l_r,
+            steer_ratio=vehicle.steer_ratio,
+            limit=vehicle.delta_sw_max,
+            reference=vehicle.l_f,
+        )
 
 
 def approach_angle(e: Scalar, v: Scalar, a_y: Scalar) -> Scalar:
@@ -27,9 +72,8 @@ def limited(law: Any, command: Scalar, before: Scalar, v: Scalar, needed: Scalar
 
         a_y = max(a_y_max, needed + a_y_reserve), at most a_y_limit,   needed [m/s^2]: |a_y| of the path.
 
-    law: a controller with the fields a_y_max, a_y_reserve, a_y_limit [m/s^2], wheelbase, l_r [m],
-    understeer [rad s^2/m], steer_ratio [1], rate_limit [rad/s], slew [m/s^3], limit [rad], dt [s].
-    A NaN command stays NaN; one in `before` limits nothing, so that a broken sample does not break the next.
+    law: a `LimitedLaw`. A NaN command stays NaN; one in `before` limits nothing, so that a broken sample does not break
+    the next.
     """
     a_y = possible(law, m.maximum(law.a_y_max, needed + law.a_y_reserve))
     step = slewed(law, v) * law.dt

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
-from steerkit.controllers.limits import limited
+from steerkit._support.errors import check_numbers, number, require
+from steerkit.controllers.limits import LimitedLaw, limited
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Scalar, Table
-from steerkit.diagram.units import radians_of
-from steerkit.task import DT, STOP
-from steerkit.vehicles import Vehicle, require_vehicle
+from steerkit.task import DT
+from steerkit.vehicles import Vehicle
 
 Array = NDArray[np.float64]
 Matrices = Callable[[float], tuple[Any, Any]]
@@ -63,24 +62,21 @@ class LqrDesign:
     """The car's lateral model; see `Matrices`."""
     reference: float
     """Where e is measured, metres ahead of the centre of gravity."""
-    delay: float = 0.0
+    delay: float = number(0.0, "s", low=0.0, high=2.0)
     """Pure delay from command to wheel [s]."""
-    lag: float = 0.1
+    lag: float = number(0.1, "s", low=0.0, high=2.0)
     """First-order time constant of the wheel [s]."""
-    e_size: float = 0.1
+    e_size: float = number(0.1, "m", above=0.0)
     """e that costs 1 [m]."""
-    e_dot_size: float = 0.5
+    e_dot_size: float = number(0.5, "m/s", above=0.0)
     """e' that costs 1 [m/s]."""
-    step_size: float = 0.02
+    step_size: float = number(0.02, "rad", above=0.0)
     """Change of the road-wheel angle in a sample that costs 1 [rad]."""
-    dt: float = DT
+    dt: float = number(DT, "s", above=0.0)
     """Sample time [s]."""
 
     def __post_init__(self) -> None:
-        for name in ("delay", "lag"):
-            require(0.0 <= getattr(self, name) <= 2.0, "LqrDesign", f"{name} = {getattr(self, name)} [s], 0 to 2")
-        for name in ("e_size", "e_dot_size", "step_size", "dt"):
-            require(getattr(self, name) > 0.0, "LqrDesign", f"{name} = {getattr(self, name)}, expected > 0")
+        check_numbers(self, "LqrDesign")
 
     @property
     def waiting(self) -> int:
@@ -148,7 +144,7 @@ class LqrDesign:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Lqr(Block):
+class Lqr(LimitedLaw):
     """Linear-quadratic regulator with delay states, curvature preview and gains scheduled over speed.
 
     command = last command - steer_ratio*(K(v) x + sum_j g_j(v) kappa_j),
@@ -179,42 +175,21 @@ class Lqr(Block):
 
     table: Table
     """A row a speed: K, then g."""
-    v_min: float
+    v_min: float = number(unit="m/s", above=0.0)
     """Speed of the first row [m/s]."""
-    v_step: float
+    v_step: float = number(unit="m/s", above=0.0)
     """Speed between rows [m/s]."""
     reference: float
     """Where e and e_dot are measured: metres ahead of the centre of gravity."""
     preview_points: int
     """Curvatures ahead, dt apart."""
-    wheelbase: Scalar
-    """L [m]."""
-    understeer: Scalar
-    """Understeer gradient [rad s^2/m]."""
-    l_r: Scalar
-    """Centre of gravity to rear axle [m]."""
-    steer_ratio: Scalar
-    """Steering-wheel angle over road-wheel angle [1]."""
-    a_y_max: Scalar = 2.9
-    """Lateral acceleration to stay within, unless the path asks for more [m/s^2]; the tyres' lag adds up to 0.1."""
-    a_y_reserve: Scalar = 1.5
-    """Lateral acceleration beyond that of the path which corrections may always use [m/s^2]."""
-    rate_limit: Scalar = radians_of(550.0)
-    """Fastest command [rad/s]."""
-    slew: Scalar | None = None
-    """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: no bound."""
-    a_y_limit: Scalar | None = None
-    """Its largest lateral acceleration [m/s^2]; None: no bound."""
     e_reach: Scalar | None = None
     """The car is taken to be at most so far off [m], so that it comes at no steeper an angle; None: no bound."""
-    limit: Scalar = STOP
-    """Largest |delta_sw| [rad]."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         columns = self.table.rows.shape[1] - _MOTION - self.preview_points
         require(columns >= 1, "Lqr", f"table of {self.table.rows.shape[1]} columns, expected 5 + commands + preview")
-        for name in ("v_min", "v_step", "wheelbase", "steer_ratio", "a_y_max", "rate_limit", "limit"):
-            require(getattr(self, name) > 0.0, "Lqr", f"{name} = {getattr(self, name)}, expected > 0")
 
     @classmethod
     def of(
@@ -240,7 +215,7 @@ class Lqr(Block):
         more, so that a slew which acts is the exception, and e counts up to 0.5 m only; None: without. sizes: e_size,
         e_dot_size, step_size of `LqrDesign`.
         """
-        require_vehicle(vehicle, "Lqr.of")
+        geometry = cls.geometry(vehicle, "Lqr.of")
         require(preview_points >= 1, "Lqr", f"preview_points = {preview_points}, expected >= 1")
         require(0.0 < v_min < v_max and v_step > 0.0, "Lqr", f"speeds {v_min} to {v_max} by {v_step} m/s")
         design = LqrDesign(matrices=matrices, reference=vehicle.l_f, delay=delay, lag=lag, dt=dt, **sizes)
@@ -255,16 +230,11 @@ class Lqr(Block):
             table=Table(np.array(rows)),
             v_min=v_min,
             v_step=v_step,
-            reference=vehicle.l_f,
             preview_points=preview_points,
-            wheelbase=vehicle.wheelbase,
-            understeer=vehicle.understeer_gradient,
-            l_r=vehicle.l_r,
-            steer_ratio=vehicle.steer_ratio,
             slew=slew,
             a_y_limit=a_y_limit,
             e_reach=None if slew is None else _REACH,
-            limit=vehicle.delta_sw_max,
+            **geometry,
             dt=dt,
         )
 

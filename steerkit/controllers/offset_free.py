@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit._support.errors import require, require_within
+from steerkit._support.errors import number
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, State
 from steerkit.diagram.maths import Scalar
@@ -47,45 +47,28 @@ class OffsetFree(Wrapper):
     needs = ("e", "v")
     changes = ("delta_sw",)
 
-    steer_ratio: Scalar = 15.6
+    steer_ratio: Scalar = number(15.6, "1", low=1.0, high=100.0)
     """n, steering-wheel angle over road-wheel angle [1]."""
-    approach: Scalar = 0.5
+    approach: Scalar = number(0.5, "s", low=0.05, high=60.0)
     """T [s]; of the controllers of the catalogue 0.43 to 0.57 from 3 to 15 m/s, and the delay more."""
-    time: Scalar = 3.0
+    time: Scalar = number(3.0, "s", low=0.1, high=1e4)
     """tau [s]."""
-    time_late: Scalar = 0.0
+    time_late: Scalar = number(0.0, "s", low=0.0, high=1e4)
     """Up to which tau grows, to half of the time for which z has moved, as a constant comes to be known [s]; 0: not
     at all."""
-    surprise: Scalar = 0.015
+    surprise: Scalar = number(0.015, "m", low=1e-4, high=1e3)
     """Mean of e + T e' over `time`, each counted up to twice this, beyond which d is another one [m]: tau is `time`
     again, and grows anew."""
-    most: Scalar = radians_of(60.0)
+    most: Scalar = number(radians_of(60.0), "rad", low=0.0, high=30.0)
     """Largest |z| [rad]."""
-    reach: Scalar = TRIP
+    reach: Scalar = number(TRIP, "m", low=1e-3, high=1e3)
     """|e| beyond which the car is on its way back, and z is held [m]."""
-    v_least: Scalar = 1.0
+    v_least: Scalar = number(1.0, "m/s", low=0.1, high=100.0)
     """Speed below which z is held [m/s]."""
-    limit: Scalar = STOP
+    limit: Scalar = number(STOP, "rad", low=1e-3, high=30.0)
     """Largest |delta_sw| [rad]."""
-    rate_limit: Scalar = radians_of(550.0)
+    rate_limit: Scalar = number(radians_of(550.0), "rad/s", low=1e-3, high=200.0)
     """Fastest command of `block` [rad/s]; z is held from 99 % of it on."""
-
-    def __post_init__(self) -> None:
-        where = "OffsetFree"
-        for name, unit, low, high in (
-            ("steer_ratio", "1", 1.0, 100.0),
-            ("approach", "s", 0.05, 60.0),
-            ("time", "s", 0.1, 1e4),
-            ("time_late", "s", 0.0, 1e4),
-            ("surprise", "m", 1e-4, 1e3),
-            ("most", "rad", 0.0, 30.0),
-            ("reach", "m", 1e-3, 1e3),
-            ("v_least", "m/s", 0.1, 100.0),
-            ("limit", "rad", 1e-3, 30.0),
-            ("rate_limit", "rad/s", 1e-3, 200.0),
-        ):
-            require_within(where, name, getattr(self, name), unit, low, high)
-        super().__post_init__()
 
     @classmethod
     def around(cls, block: Block, vehicle: Vehicle, *, delay: float = 0.0, **settings: float) -> OffsetFree:
@@ -145,12 +128,8 @@ class CommandCompensation(Wrapper):
 
     offset: float = 0.0
     """Offset of the angle reached [rad]."""
-    gain: float = 1.0
+    gain: float = number(1.0, "1", above=0.0)
     """Angle reached over angle commanded [1]."""
-
-    def __post_init__(self) -> None:
-        require(self.gain > 0.0, "CommandCompensation", f"gain = {self.gain} [1], expected > 0")
-        super().__post_init__()
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         y = self.inner_output(t, x, u)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number, require
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.maths import Scalar
@@ -40,26 +40,25 @@ class PurePursuit(Block):
 
     path: Path
     """The path."""
-    look_time: Scalar = 0.5
+    look_time: Scalar = number(0.5, "s", above=0.0)
     """Distance to the goal over speed [s]."""
-    look_min: Scalar = 2.5
+    look_min: Scalar = number(2.5, "m", above=0.0)
     """Least distance to the goal [m]."""
     look_max: Scalar = 20.0
     """Largest distance to the goal [m]."""
-    wheelbase: Scalar = 2.7
+    wheelbase: Scalar = number(2.7, "m", above=0.0)
     """L [m]."""
-    l_r: Scalar = 1.5
+    l_r: Scalar = number(1.5, "m", above=0.0)
     """Centre of gravity to rear axle [m]."""
-    steer_ratio: Scalar = 15.6
+    steer_ratio: Scalar = number(15.6, "1", above=0.0)
     """Steering-wheel angle over road-wheel angle [1]."""
-    limit: Scalar = STOP
+    limit: Scalar = number(STOP, "rad", above=0.0)
     """Largest |delta_sw| [rad]."""
     reference: Scalar = -1.5
     """Where s has to be measured: -l_r, the rear axle [m]."""
 
     def __post_init__(self) -> None:
-        for name in ("look_time", "look_min", "wheelbase", "l_r", "steer_ratio", "limit"):
-            require(getattr(self, name) > 0.0, "PurePursuit", f"{name} = {getattr(self, name)}, expected > 0")
+        super().__post_init__()
         require(self.look_max >= self.look_min, "PurePursuit", f"look_max = {self.look_max} m, expected >= look_min")
 
     @classmethod

@@ -9,7 +9,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import require, require_within
+from steerkit._support.errors import number, require, require_within
 from steerkit.controllers.delay import DelayPredictor
 from steerkit.controllers.limits import limited
 from steerkit.controllers.stanley import Stanley, StanleyState
@@ -130,59 +130,44 @@ class SafetyFilter(Block):
 
     backup: DelayPredictor
     """Stanley, and the model that is rolled out: geometry, ratio, dead time and lag as they are believed."""
-    bound: float = TRIP
+    bound: float = number(TRIP, "m", low=0.05, high=100.0)
     """|e| that is not to be exceeded [m]."""
     horizon: float = 1.3
     """How far is looked ahead from when the command arrives [s]; at least 0.3 s longer than the hold."""
-    hold: int = 8
+    hold: int = number(8, "1", low=1)
     """Samples for which a command is taken to be held."""
-    halvings: int = 5
+    halvings: int = number(5, "1", low=1)
     """How often the share is halved between one that is safe and one that is not."""
-    e_doubt: float = 0.03
+    e_doubt: float = number(0.03, "m", low=0.0, high=10.0)
     """Largest error of the measured e [m]."""
-    psi_doubt: float = 0.005
+    psi_doubt: float = number(0.005, "rad", low=0.0, high=1.0)
     """Largest error of the measured psi_e [rad]."""
-    yaw_doubt: float = 0.01
+    yaw_doubt: float = number(0.01, "rad/s", low=0.0, high=1.0)
     """Largest error of the yaw rate that is neither constant nor in proportion to its changes [rad/s]."""
     yaw_doubt_least: float | None = None
     """How far that may narrow while the model proves right [rad/s]; None: it stays as it is."""
-    ratio_doubt: float = 0.1
+    ratio_doubt: float = number(0.1, "1", low=0.0, high=1.0)
     """Largest error of the yaw rate as a share of its change [1]: steering ratio, tyres."""
-    delay_doubt: float = 0.05
+    delay_doubt: float = number(0.05, "s", low=0.0, high=2.0)
     """How much later than believed commands may arrive [s]."""
-    approach: float = 0.4
+    approach: float = number(0.4, "s", low=0.0, high=10.0)
     """Time for which the drift at the end of a roll-out is extrapolated [s]."""
-    preview_points: int = 20
+    preview_points: int = number(20, "1", low=2)
     """Entries of the preview."""
-    preview_dt: float = 0.1
+    preview_dt: float = number(0.1, "s", low=1e-3, high=10.0)
     """Time between them [s]."""
     gate: GateModel | None = None
     """What comes between the filter and the wheel, if anything does; then `applied` says what it let through last."""
 
     def __post_init__(self) -> None:
-        where = "SafetyFilter"
-        kind = type(self.backup.block if isinstance(self.backup, DelayPredictor) else self.backup).__name__
+        super().__post_init__()
+        where, turning = "SafetyFilter", self.gate.turning if self.gate else 0.0
         law = isinstance(self.backup, DelayPredictor) and isinstance(self.backup.block, Stanley)
-        require(law, where, f"backup of {kind}, expected DelayPredictor around Stanley, such as SafetyFilter.of makes")
+        require(law, where, "backup of another kind than DelayPredictor around Stanley, such as SafetyFilter.of makes")
         require(self.dt == self.backup.dt, where, f"dt = {self.dt} s, but the backup has {self.backup.dt} s")
-        for name, unit, low, high in (
-            ("bound", "m", 0.05, 100.0),
-            ("horizon", "s", self.hold * self.dt + max(0.3, self.gate.turning if self.gate else 0.0), 10.0),
-            ("e_doubt", "m", 0.0, 10.0),
-            ("psi_doubt", "rad", 0.0, 1.0),
-            ("yaw_doubt", "rad/s", 0.0, 1.0),
-            *([("yaw_doubt_least", "rad/s", 0.0, self.yaw_doubt)] if self.yaw_doubt_least is not None else []),
-            ("ratio_doubt", "1", 0.0, 1.0),
-            ("delay_doubt", "s", 0.0, 2.0),
-            ("approach", "s", 0.0, 10.0),
-            ("preview_dt", "s", 1e-3, 10.0),
-        ):
-            require_within(where, name, getattr(self, name), unit, low, high)
-        for name, least in (("hold", 1), ("halvings", 1), ("preview_points", 2)):
-            value = getattr(self, name)
-            require(
-                isinstance(value, int) and value >= least, where, f"{name} = {value!r}, expected a count >= {least}"
-            )
+        require_within(where, "horizon", self.horizon, "s", self.hold * self.dt + max(0.3, turning), 10.0)
+        if self.yaw_doubt_least is not None:
+            require_within(where, "yaw_doubt_least", self.yaw_doubt_least, "rad/s", 0.0, self.yaw_doubt)
         if self.gate is None:
             without_port(self, "applied")
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import number
-from steerkit.controllers.limits import approach_angle, limited, possible
+from steerkit.controllers.limits import LimitedLaw, approach_angle, limited, possible
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.block import In, Out
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.task import DT, STOP
-from steerkit.vehicles import Vehicle, require_vehicle
+from steerkit.task import DT
+from steerkit.vehicles import Vehicle
 
 _NO_LIMIT = 1e3
 """m/s^2 or rad/s: more than any car can do."""
@@ -26,7 +26,7 @@ class StanleyState(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Stanley(Block):
+class Stanley(LimitedLaw):
     """Stanley's steering law with all its terms: heading, cross-track, yaw damping, steer damping, curve offset.
 
     delta = -(psi_e - psi_ss) - sat_a(arctan(k*e / (k_soft + v))) - k_d_yaw*(r - r_path)
@@ -70,50 +70,19 @@ class Stanley(Block):
     """Steering damping [1]."""
     approach_limit: Scalar = number(radians_of(30.0), "rad", above=0.0)
     """Largest approach angle that the cross-track term may ask for [rad]."""
-    a_y_max: Scalar = number(2.9, "m/s^2", above=0.0)
-    """Lateral acceleration to stay within, unless the path asks for more [m/s^2]; the tyres' lag adds up to 0.1."""
-    a_y_reserve: Scalar = number(1.5, "m/s^2", low=0.0)
-    """Lateral acceleration beyond that of the path which corrections may always use [m/s^2]."""
-    rate_limit: Scalar = number(radians_of(550.0), "rad/s", above=0.0)
-    """Fastest command [rad/s]."""
-    slew: Scalar | None = None
-    """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: no bound."""
-    a_y_limit: Scalar | None = None
-    """Its largest lateral acceleration, which not even a path that asks for more exceeds [m/s^2]; None: no bound."""
     share: Scalar = number(1.0, "1", above=0.0, high=1.0)
     """Share of what the law asks for beyond the path's own angle, (L + K v^2) kappa: < 1 where the wheel is slow."""
     mass: Scalar = number(0.0, "kg", low=0.0)
     """Car mass [kg]; 0 leaves out the curve offset psi_ss."""
     c_f: Scalar = number(1.0, "N/rad", above=0.0)
     """Cornering stiffness of the front axle [N/rad]."""
-    l_r_share: Scalar = 0.5
-    """l_r / L: share of the mass on the front axle [1]."""
-    wheelbase: Scalar = number(2.7, "m", above=0.0)
-    """L [m]."""
-    understeer: Scalar = 0.0
-    """Understeer gradient [rad s^2/m]."""
-    steer_ratio: Scalar = number(15.6, "1", above=0.0)
-    """Steering-wheel angle over road-wheel angle [1]."""
-    limit: Scalar = number(STOP, "rad", above=0.0)
-    """Largest |delta_sw| [rad]."""
     reference: Scalar = 1.2
     """Where e, psi_e and kappa have to be measured: metres ahead of the centre of gravity (the front axle, l_f)."""
 
     @classmethod
     def of(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:
         """The controller with geometry, mass, stiffness, ratio and stop of a `Vehicle`."""
-        require_vehicle(vehicle, "Stanley.of")
-        return cls(
-            mass=vehicle.m,
-            c_f=vehicle.c_f,
-            l_r_share=vehicle.l_r / vehicle.wheelbase,
-            wheelbase=vehicle.wheelbase,
-            understeer=vehicle.understeer_gradient,
-            steer_ratio=vehicle.steer_ratio,
-            limit=vehicle.delta_sw_max,
-            reference=vehicle.l_f,
-            dt=dt,
-        )
+        return cls(mass=vehicle.m, c_f=vehicle.c_f, dt=dt, **cls.geometry(vehicle, "Stanley.of"))
 
     @classmethod
     def textbook(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:
@@ -131,7 +100,7 @@ class Stanley(Block):
         v = m.maximum(u.v, 0.0)
         bent = self.wheelbase * u.kappa
         r_path = v * u.kappa / m.sqrt(m.maximum(1.0 - bent * bent, 0.1))
-        psi_ss = self.mass * v * r_path * self.l_r_share / self.c_f
+        psi_ss = self.mass * v * r_path * (self.l_r / self.wheelbase) / self.c_f
         spare = possible(self, m.maximum(self.a_y_max - v * m.absolute(r_path), self.a_y_reserve))
         steepest = m.minimum(approach_angle(u.e, v, 0.5 * spare), self.approach_limit)
         approach = m.clip(m.atan(self.k * u.e / (self.k_soft + v)), -steepest, steepest)
@@ -140,11 +109,6 @@ class Stanley(Block):
         steady = (self.wheelbase + self.understeer * v * v) * u.kappa
         delta = delta - (1.0 - self.share) * (delta - steady)
         return self.Y(limited(self, self.steer_ratio * delta, x.command, v, v * m.absolute(r_path)))
-
-    @property
-    def l_r(self) -> Scalar:
-        """Centre of gravity to rear axle [m]."""
-        return self.l_r_share * self.wheelbase
 
     def update(self, t: Any, x: StanleyState, u: Any, y: Any) -> StanleyState:
         return StanleyState(u.delta_sw_meas / self.steer_ratio, y.delta_sw)

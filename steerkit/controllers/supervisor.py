@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number, require
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, Port, State
 from steerkit.diagram.wrapper import Wrapper
@@ -54,16 +54,16 @@ class Supervisor(Block):
     """|e| above which the recovery controller takes over [m]."""
     release: float = RELEASE
     """|e| below which the learner takes over [m]."""
-    limit: float = STOP
+    limit: float = number(STOP, "rad", above=0.0)
     """Largest |delta_sw| a learner may command [rad]; more is a fault."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(
             (self.release > 0.0) & (self.release <= self.trip),
             "Supervisor",
             f"release = {self.release} m, trip = {self.trip} m, expected 0 < release <= trip",
         )
-        require(self.limit > 0.0, "Supervisor", f"limit = {self.limit} rad, expected > 0")
 
     def init(self, batch: tuple[int, ...] = ()) -> SupervisorState:
         return SupervisorState(m.filled(0.0, batch), m.filled(0.0, batch))

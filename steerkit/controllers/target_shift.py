@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.block import Block, In, Out, State
 from steerkit.task import TRIP
-
-
-class ShiftState(NamedTuple):
-    """How far to the left of the path the target is [m]."""
-
-    shift: Any
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,8 +21,8 @@ class TargetShift(Block):
     Between tracker and controllers: they see e and e_dot, so that a `Supervisor` behind it sees one sample beyond its
     trip, the learner's failure, and then e near 0. Beyond limit + trip the target no longer follows, and the recovery
     controller, which sees the path itself, brings the car back. Inputs: e_path [m], e_dot_path [m/s]. Outputs: e [m];
-    e_dot [m/s]; shift [m], + = left. A NaN in e_path is a NaN in e; neither is ever in the shift. Valid where the
-    ground beside the path can be driven on.
+    e_dot [m/s]; shift [m], + = left. A NaN in e_path is a NaN in e; neither is ever in the shift. State: the
+    shift. Valid where the ground beside the path can be driven on.
     Raises ValueError unless trip, limit and rate are positive. Source: ours.
     """
 
@@ -38,27 +32,23 @@ class TargetShift(Block):
     e_dot = Out("m/s", direct=(e_dot_path,))
     shift = Out("m", direct=())
 
-    trip: float = TRIP
+    trip: float = number(TRIP, "m", above=0.0)
     """|e| above which the target comes to the car [m]."""
-    limit: float = 1.5
+    limit: float = number(1.5, "m", above=0.0)
     """Farthest shift [m]."""
-    rate: float = 0.25
+    rate: float = number(0.25, "m/s", above=0.0)
     """How fast the target returns to the path [m/s]."""
 
-    def __post_init__(self) -> None:
-        values = (self.trip, self.limit, self.rate)
-        require(min(values) > 0.0, "TargetShift", f"trip, limit [m], rate [m/s] = {values}, expected > 0")
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (m.filled(0.0, batch),)
 
-    def init(self, batch: tuple[int, ...] = ()) -> ShiftState:
-        return ShiftState(m.filled(0.0, batch))
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(u.e_path - x[0], u.e_dot_path + self._back(x) / self.dt, x[0])
 
-    def output(self, t: Any, x: ShiftState, u: Any) -> Any:
-        return self.Y(u.e_path - x.shift, u.e_dot_path + self._back(x) / self.dt, x.shift)
-
-    def update(self, t: Any, x: ShiftState, u: Any, y: Any) -> ShiftState:
-        target, back = u.e_path + self.dt * u.e_dot_path, x.shift - self._back(x)
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        target, back = u.e_path + self.dt * u.e_dot_path, x[0] - self._back(x)
         lost = m.both(m.absolute(y.e) > self.trip, m.is_finite(target))
-        return ShiftState(m.where(lost, m.clip(target, -self.limit, self.limit), back))
+        return (m.where(lost, m.clip(target, -self.limit, self.limit), back),)
 
-    def _back(self, x: ShiftState) -> Any:
-        return m.clip(x.shift, -self.rate * self.dt, self.rate * self.dt)
+    def _back(self, x: State) -> Any:
+        return m.clip(x[0], -self.rate * self.dt, self.rate * self.dt)

@@ -8,7 +8,7 @@ from math import pi
 from types import MappingProxyType
 from typing import Any
 
-from steerkit._support.errors import known, require_within
+from steerkit._support.errors import known, number
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, State
@@ -41,34 +41,23 @@ class WithExcitation(Wrapper):
 
     vehicle: Vehicle
     """The car by its data sheet, for g(v)."""
-    amplitude: Scalar = 0.5
+    amplitude: Scalar = number(0.5, "m/s^2", low=0.0, high=3.0)
     """Of the lateral acceleration [m/s^2]; 0: `block` alone."""
-    frequency: Scalar = 0.3
+    frequency: Scalar = number(0.3, "Hz", low=0.01, high=2.0)
     """[Hz]"""
-    steepness: Scalar = 1.0
+    steepness: Scalar = number(1.0, "1", low=1.0, high=1e3)
     """1: a sine; the more, the more like steps [1]."""
-    most: Scalar = 1.0
+    most: Scalar = number(1.0, "rad", low=0.0, high=3.0)
     """Largest |w| [rad]."""
-    a_y_most: Scalar = 2.0
+    a_y_most: Scalar = number(2.0, "m/s^2", low=0.1, high=3.0)
     """Lateral acceleration that w does not lead beyond [m/s^2]."""
-    v_least: Scalar = 2.0
+    v_least: Scalar = number(2.0, "m/s", low=0.5, high=20.0)
     """Slowest speed with a wave [m/s]."""
     number: float = 0.0
     """Of this wave, among those of a drive."""
 
     def __post_init__(self) -> None:
-        where = "WithExcitation"
-        require_vehicle(self.vehicle, where)
-        for name, unit, low, high in (
-            ("amplitude", "m/s^2", 0.0, 3.0),
-            ("frequency", "Hz", 0.01, 2.0),
-            ("steepness", "1", 1.0, 1e3),
-            ("most", "rad", 0.0, 3.0),
-            ("a_y_most", "m/s^2", 0.1, 3.0),
-            ("v_least", "m/s", 0.5, 20.0),
-            ("number", "1", 0.0, 1e6),
-        ):
-            require_within(where, name, getattr(self, name), unit, low, high)
+        require_vehicle(self.vehicle, "WithExcitation")
         super().__post_init__()
 
     def init(self, batch: tuple[int, ...] = ()) -> State:

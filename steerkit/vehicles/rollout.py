@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import number, require, require_within
+from steerkit._support.errors import check_numbers, number, require
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
@@ -26,19 +26,6 @@ class Motion(NamedTuple):
     psi_e: Scalar
     r: Scalar
     wheel: Scalar
-
-
-class Piece(NamedTuple):
-    """A piece of the time until a command has acted."""
-
-    h: float
-    """Its length [s]."""
-    command: int
-    """Which of the commands on their way acts in it."""
-    middle: float
-    """When its middle is, from now [s]."""
-    share: float
-    """Of the way to its command, what the wheel's lag lets it go [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,17 +46,17 @@ class Rollout:
     Source: Rajamani 2012, sections 2.3 and 3.3.
     """
 
-    delay: float = 0.0
+    delay: float = number(0.0, "s", low=0.0, high=2.0)
     """Pure delay from command to wheel [s]."""
-    lag: float = 0.0
+    lag: float = number(0.0, "s", low=0.0, high=2.0)
     """First-order time constant of the wheel [s]."""
-    rate_limit: Scalar = radians_of(550.0)
+    rate_limit: Scalar = number(radians_of(550.0), "rad/s", above=0.0)
     """Fastest steering wheel [rad/s]."""
-    slew: float | None = None
+    slew: float | None = number(None, "m/s^3", above=0.0)
     """Fastest change of the lateral acceleration of a car that is steered by torque [m/s^3]; None: no bound."""
-    a_y_limit: float = 3.0
+    a_y_limit: float = number(3.0, "m/s^2", above=0.0)
     """Its largest lateral acceleration [m/s^2]; not used without a slew."""
-    wheelbase: Scalar = 2.7
+    wheelbase: Scalar = number(2.7, "m", above=0.0)
     """L [m]."""
     understeer: Scalar = 0.0
     """K, understeer gradient [rad s^2/m]."""
@@ -77,23 +64,19 @@ class Rollout:
     """Centre of gravity to rear axle [m]."""
     rear_slip: Scalar = 0.0
     """m l_f/(c_r L): rear slip angle over v r [rad s^2/m]."""
-    yaw_time: Scalar = 0.0033
+    yaw_time: Scalar = number(0.0033, "s^2/m", above=0.0)
     """i_z/(c_f l_f^2 + c_r l_r^2): lag of the yaw rate over v [s^2/m]."""
-    steer_ratio: Scalar = 15.6
+    steer_ratio: Scalar = number(15.6, "1", above=0.0)
     """Steering-wheel angle over road-wheel angle [1]."""
     reference: Scalar = 1.2
     """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
-    dt: float = DT
+    dt: float = number(DT, "s", above=0.0)
     """Time between two commands [s]."""
-    preview_dt: float = DT
+    preview_dt: float = number(DT, "s", above=0.0)
     """Time between two entries of the preview [s]."""
 
     def __post_init__(self) -> None:
-        for name in ("delay", "lag"):
-            require_within("Rollout", name, getattr(self, name), "s", 0.0, 2.0)
-        for name in ("wheelbase", "steer_ratio", "rate_limit", "yaw_time", "dt", "preview_dt", "a_y_limit"):
-            require(getattr(self, name) > 0.0, "Rollout", f"{name} = {getattr(self, name)}, expected > 0")
-        require(self.slew is None or self.slew > 0.0, "Rollout", f"slew = {self.slew} [m/s^3], expected > 0, or None")
+        check_numbers(self, "Rollout")
 
     @classmethod
     def of(cls, vehicle: Vehicle, **settings: float | None) -> Rollout:
@@ -120,13 +103,17 @@ class Rollout:
         return max(1, len(on_their_way(self.delay, self.dt)))
 
     @cached_property
-    def pieces(self) -> tuple[Piece, ...]:
-        """From now to delay + lag: one for each command on its way, then at most dt long ones under the last."""
+    def pieces(self) -> tuple[tuple[float, int, float, float], ...]:
+        """From now to delay + lag: one for each command on its way, then at most dt long ones under the last.
+
+        Of each its length [s], which of the commands acts in it, when its middle is [s], and the share of the way to
+        that command which the wheel's lag lets it go [1].
+        """
         tail = math.ceil(self.lag / self.dt - 1e-9)
         spans = [*enumerate(on_their_way(self.delay, self.dt)), *[(self.waiting - 1, self.lag / max(tail, 1))] * tail]
         ends = [sum(h for _, h in spans[: i + 1]) for i in range(len(spans))]
         share = [lag_share(h, self.lag) for _, h in spans]
-        return tuple([Piece(h, i, end - 0.5 * h, part) for (i, h), end, part in zip(spans, ends, share)])
+        return tuple([(h, i, end - 0.5 * h, part) for (i, h), end, part in zip(spans, ends, share)])
 
     def steady_wheel(self, kappa: Scalar, v: Scalar) -> Scalar:
         """The wheel [rad] with which the car goes round a bend of kappa [1/m]."""
@@ -134,7 +121,7 @@ class Rollout:
 
     def wheel_after(self, wheel: Scalar, commands: Sequence[Scalar], v: Scalar) -> Scalar:
         """The wheel [rad] dt later, of which the oldest command acts at first and the one after it then."""
-        first = self.pieces[0].h if self.delay > 0.0 else 0.0
+        first = self.pieces[0][0] if self.delay > 0.0 else 0.0
         for h, command in zip((first, self.dt - first), commands):
             wheel = wheel + lag_step(command - wheel, lag_share(h, self.lag), slewed(self, v) * h)
         return wheel
@@ -299,14 +286,13 @@ class GateModel:
 
     limits: GateLimits = field(default_factory=GateLimits)
     """Those of the gate, and the car's geometry and ratio."""
-    v_doubt: float = 0.2
+    v_doubt: float = number(0.2, "m/s", low=0.0, high=10.0)
     """By how much faster than believed the gate may take the car to be [m/s]: the faster of two sources counts."""
-    frame_dt: float = 0.02
+    frame_dt: float = number(0.02, "s", low=1e-3, high=1.0)
     """Time between two frames [s]."""
 
     def __post_init__(self) -> None:
-        require_within("GateModel", "v_doubt", self.v_doubt, "m/s", 0.0, 10.0)
-        require_within("GateModel", "frame_dt", self.frame_dt, "s", 1e-3, 1.0)
+        check_numbers(self, "GateModel")
 
     @property
     def turning(self) -> float:

@@ -236,6 +236,27 @@ def test_it_gives_the_numbers_written_down(example: Example) -> None:
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-9), f'"{key}": {json.dumps(found)}'
 
 
+def ranges() -> dict[str, dict[str, str]]:
+    """The range of each field that is declared as a `number`, by class."""
+    concrete_blocks()  # imports all modules
+    found: dict[str, dict[str, str]] = {}
+    for module in [module for name, module in sys.modules.items() if name.startswith("steerkit.")]:
+        for kind in filter(dataclasses.is_dataclass, vars(module).values()):
+            for field in dataclasses.fields(kind):
+                if "number" in field.metadata and field.name in vars(kind).get("__annotations__", {}):
+                    unit, low, high, above = field.metadata["number"]
+                    own = found.setdefault(kind.__name__, {})  # type: ignore[union-attr]
+                    own[field.name] = f"{'(' if above else '['}{low:.9g}, {high:.9g}] {unit}"
+    return found
+
+
+def test_ranges_are_those_written_down() -> None:
+    """For the classes in tests/golden/ranges.json; whoever changes a range on purpose changes it there, too."""
+    found, file = ranges(), ROOT / "tests/golden/ranges.json"
+    for name, expected in json.loads(file.read_text(encoding="utf-8")).items():
+        assert found[name] == expected, f'"{name}": {json.dumps(found[name])}'
+
+
 def _smaller(block: Block, values: dict[str, Any], share: float) -> dict[str, Any]:
     units = {port.name: share if port.unit in ("m", "rad", "rad/s", "1/m", "m/s^2") else 1.0 for port in block.inputs}
     return {

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, Self
 import casadi
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number, require
 from steerkit.controllers.mpc.path_model import NX, V_HIGH, V_LOW, PathModel, Rhs
-from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Answer, Programme, Stages, chosen
+from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Programme, Stages
 from steerkit.controllers.mpc.qp import StageQp
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
@@ -86,50 +86,50 @@ class PredictiveSteering(Block):
 
     rhs: Rhs
     """The car's right-hand side: (x', y', psi', sway', r') of ((x, y, psi, sway, r), delta, v)."""
-    steer_ratio: float
+    steer_ratio: float = number(unit="1", above=0.0)
     """Steering-wheel angle over road-wheel angle [1]."""
     fallback: Stanley
     """The law that steers when there is no plan; with a `slew`, that of a car steered by torque, it bounds the rate."""
-    reference: float = 0.0
+    reference: float = number(0.0, "m", low=-5.0, high=5.0)
     """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
-    delay: float = 0.0
+    delay: float = number(0.0, "s", low=0.0, high=2.0)
     """From a command to the motor's answer [s]; any, not only multiples of dt."""
-    lag: float = 0.1
+    lag: float = number(0.1, "s", low=0.0, high=1e6)
     """The motor's time constant [s]."""
-    horizon: int = 20
+    horizon: int = number(20, "1", low=2)
     """Samples over which is planned, from `delay` on."""
-    q_e: float = 1.0
+    q_e: float = number(1.0, "1/m^2", above=0.0)
     """Weight of e^2 [1/m^2]."""
-    q_psi: float = 0.1
+    q_psi: float = number(0.1, "1", low=0.0, high=1e6)
     """Weight of the heading's deviation from steady cornering [1]."""
-    q_r: float = 0.0
+    q_r: float = number(0.0, "s^2", low=0.0, high=1e6)
     """Weight of the yaw rate's deviation from steady cornering [s^2]."""
-    q_rate: float = 2e-4
+    q_rate: float = number(2e-4, "s^2", above=0.0)
     """Weight of the command's rate [s^2]."""
-    limit: float = STOP
+    limit: float = number(STOP, "rad", above=0.0)
     """Largest |command| [rad]."""
-    rate_limit: float = radians_of(500.0)
+    rate_limit: float = number(radians_of(500.0), "rad/s", above=0.0)
     """Largest rate of the command [rad/s]."""
-    e_limit: float = TRIP
+    e_limit: float = number(TRIP, "m", above=0.0)
     """|e| [m] beyond which it costs extra."""
-    a_y_limit: float = 2.8
+    a_y_limit: float = number(2.8, "m/s^2", above=0.0)
     """|a_y| [m/s^2] beyond which it costs extra; soft, so a little below the 3 m/s^2 of ISO 11270."""
-    a_y_room: float = 1.5
+    a_y_room: float = number(1.5, "m/s^2", low=0.0, high=1e6)
     """How much more |a_y| [m/s^2] than the path needs is free where it needs more than a_y_limit. With too little, a
     car that responds less than its model (ratio, offset) is not steered enough: 0.5 lost one at 9 m/s."""
-    q_e_limit: float = 10.0
+    q_e_limit: float = number(10.0, "1/m^2", low=0.0, high=1e6)
     """Weight of (|e| - e_limit)^2 [1/m^2]."""
-    q_a_y_limit: float = 100.0
+    q_a_y_limit: float = number(100.0, "s^4/m^2", low=0.0, high=1e6)
     """Weight of (|a_y| - a_y_limit)^2 [s^4/m^2]."""
-    e_reach: float = 1.0
+    e_reach: float = number(1.0, "m", above=0.0)
     """Largest |e| that the programme sees [m]: it bounds the approach angle from further away."""
-    tolerance: float = 1e-5
+    tolerance: float = number(1e-5, "1", above=0.0)
     """Largest residual of the optimality conditions of a solution that is used."""
-    budget: float | None = None
+    budget: float | None = number(None, "s", above=0.0)
     """A solution later than this [s] is not used; None: any is, so that a simulation can be repeated."""
-    patience: int = 4
+    patience: int = number(4, "1", low=1)
     """Samples for which an old plan is followed."""
-    v_stop: float = 0.1
+    v_stop: float = number(0.1, "m/s", above=0.0)
     """Speed below which the command is held [m/s]."""
     clock: Callable[[], float] | None = time.perf_counter
     """Seconds, for milliseconds and the budget; None: no time is taken."""
@@ -146,29 +146,11 @@ class PredictiveSteering(Block):
         age: float
 
     def __post_init__(self) -> None:
-        self._check()
+        super().__post_init__()
+        timed = self.budget is None or self.clock is not None
+        require(timed, type(self).__name__, f"budget = {self.budget} [s] needs a clock")
         object.__setattr__(self, "preview_points", math.ceil(_PACE * (len(self.spans) + self.horizon)) + 1)
         object.__setattr__(self, "preview_dt", self.dt)
-
-    def _check(self) -> None:
-        """Raise ValueError for the first setting that is out of its range."""
-        where = type(self).__name__
-        for name in ("horizon", "patience"):
-            value = getattr(self, name)
-            require(isinstance(value, int) and value >= 1, where, f"{name} = {value!r}, expected a whole number >= 1")
-        require(self.horizon >= 2, where, f"horizon = {self.horizon}, expected at least 2 samples")
-        units = {"dt": "s", "steer_ratio": "1", "q_e": "1/m^2", "q_rate": "s^2", "limit": "rad", "rate_limit": "rad/s"}
-        units |= {"e_limit": "m", "e_reach": "m", "a_y_limit": "m/s^2", "tolerance": "1", "v_stop": "m/s"}
-        for name, unit in units.items():
-            require(getattr(self, name) > 0.0, where, f"{name} = {getattr(self, name)} [{unit}], expected > 0")
-        for name in ("delay", "lag", "q_psi", "q_r", "q_e_limit", "q_a_y_limit", "a_y_room"):
-            value = getattr(self, name)
-            require(0.0 <= value < 1e6, where, f"{name} = {value}, expected >= 0 and finite")
-        require(self.delay <= 2.0, where, f"delay = {self.delay} [s], expected at most 2 s")
-        require(-5.0 <= self.reference <= 5.0, where, f"reference = {self.reference} [m], expected -5 to 5")
-        if self.budget is not None:
-            require(self.budget > 0.0, where, f"budget = {self.budget} [s], expected > 0, or None for no limit")
-            require(self.clock is not None, where, f"budget = {self.budget} [s] needs a clock")
 
     @classmethod
     def of(cls, car: Any, actuator: Any = None, **settings: Any) -> Self:
@@ -280,18 +262,19 @@ class PredictiveSteering(Block):
         finite = m.both(known, m.all_finite((u.beta, u.delta_sw_meas)))
         moving = u.v >= self.v_stop
         wanted = m.where(m.both(finite, moving), SOLUTION, m.where(known, PREDICTION, NOTHING))
-        answer = Answer.of(self._routine(*self._asked(state, u, wanted)))
-        solved = m.both(answer.success > 0.0, answer.residual <= self.tolerance)
+        success, iterations, residual, *found = self._routine(*self._asked(state, u, wanted))
+        ahead, rates = tuple(found[: -self.horizon]), tuple(found[-self.horizon :])
+        solved = m.both(success > 0.0, residual <= self.tolerance)
         fault = m.where(finite, m.where(moving, m.where(solved, NO_FAULT, FAILED), STANDING), NOT_FINITE)
         elapsed = clock() - start if clock is not None else 0.0
         if self.budget is not None:
             fault = m.where(m.both(fault == NO_FAULT, elapsed > self.budget), LATE, fault)
         plan = m.chosen(fault == STANDING, (0.0,) * self.horizon, state.plan)
-        plan = m.chosen(fault == NO_FAULT, answer.rates, plan)
-        residual = m.where(m.is_finite(answer.residual), answer.residual, _NOTHING)
+        plan = m.chosen(fault == NO_FAULT, rates, plan)
+        residual = m.where(m.is_finite(residual), residual, _NOTHING)
         residual = m.where(finite, m.where(moving, residual, 0.0), math.nan)
-        command, status = self._command(state, u, fault, plan, answer.ahead)
-        return self.Y(command, status, fault, answer.iterations, 1e3 * elapsed, residual, plan)
+        command, status = self._command(state, u, fault, plan, ahead)
+        return self.Y(command, status, fault, iterations, 1e3 * elapsed, residual, plan)
 
     def _asked(self, state: X, u: Any, wanted: Any) -> tuple[Any, ...]:
         """What the programme is asked: a broken beta or wheel angle is done without."""
@@ -393,7 +376,9 @@ class NonlinearMPC(PredictiveSteering):
     def motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
         n, soft = self.horizon, self.qp.soft
         each = [self.model.affine_step(count).mapaccum(f"driven{count}", n) for count in self.model.all_substeps]
-        driven = chosen("driven", each)(substeps, x0, plan.T, casadi.repmat(v, 1, n), kappa.T)
+        driven = casadi.Function.conditional("driven", each, each[-1])(
+            substeps, x0, plan.T, casadi.repmat(v, 1, n), kappa.T
+        )
         _, a, b, gap, row, offset = driven
         gap[:, 0] -= a[:, :NX] @ x0
         return a[:, NX:], b, gap, row[:, soft], offset[soft].T

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi
 import numpy as np
@@ -16,36 +16,18 @@ from steerkit.controllers.mpc.qp import DATA
 
 NOTHING, PREDICTION, SOLUTION = 0.0, 1.0, 2.0
 """What is asked of a programme."""
-_AHEAD = 7
 Stages = tuple[Any, Any, Any, Any, Any]
 """A, B, gaps, rows and offsets of a_y: CasADi's symbols."""
 
 
-class Answer(NamedTuple):
-    """What a programme answers, as numbers or as symbols."""
-
-    success: Any
-    """1 if the solver reports success."""
-    iterations: Any
-    residual: Any
-    """The largest violation of the optimality conditions; infinite if anything is not finite."""
-    ahead: tuple[Any, ...]
-    """The six states when the commands on their way have acted, and the curvature of the path there [1/m]."""
-    rates: tuple[Any, ...]
-
-    @classmethod
-    def of(cls, values: Sequence[Any]) -> Answer:
-        """From the numbers that a programme returns."""
-        success, iterations, residual, *rest = values
-        return cls(success, iterations, residual, tuple(rest[:_AHEAD]), tuple(rest[_AHEAD:]))
-
-
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """What is asked and the measured numbers in, those of an `Answer` out; it works on arrays in place.
+    """What is asked and the measured numbers in, a solution out; it works on arrays in place.
 
-    NOTHING gives zeros; PREDICTION leaves out the solution. The numbers: x (5,), the state now; `commands` on their
-    way; `plan`, the rates of the plan before; `preview`; v; the cosine of beta; the largest rate.
+    It answers 1 if the solver reports success; its iterations; the largest violation of the optimality conditions,
+    infinite if anything is not finite; the six states when the commands on their way have acted, and the curvature of
+    the path there [1/m]; the rates. NOTHING gives zeros; PREDICTION leaves out the solution. The numbers in: x (5,),
+    the state now; commands on their way; rates of the plan before; preview; v; cos(beta); the largest rate.
 
     law: the `PredictiveSteering` that asks.
     """
@@ -72,7 +54,7 @@ class Programme:
         x = now
         if n:
             each = [self.law.model.predictor(self.law.spans, count) for count in self.law.model.all_substeps]
-            x = chosen("predicted", each)(substeps, now, commands, v, then[6, :n].T)
+            x = casadi.Function.conditional("predicted", each, each[-1])(substeps, now, commands, v, then[6, :n].T)
         x = casadi.vertcat(x, commands[-1])
         table = self.law.model.schedule(v)
         a, b, gap, row, offset = self.law.motion(plan, x, v, substeps, between[6, :].T, between[:6, :], table)
@@ -126,7 +108,7 @@ class Programme:
     @property
     def size(self) -> int:
         """How many numbers it answers."""
-        return 3 + _AHEAD + self.law.horizon
+        return 10 + self.law.horizon
 
     def __call__(self, asked: float, *values: float) -> Sequence[float]:
         """A programme that is not finite (whatever broke in the motion shows in a gap) is not solved."""
@@ -171,11 +153,3 @@ def in_place(function: casadi.Function, arrays: dict[str, Array]) -> Callable[[]
         call()
 
     return run
-
-
-def chosen(name: str, functions: list[casadi.Function]) -> casadi.Function:
-    """The function whose number is the first argument, of the others."""
-    if len(functions) == 1:
-        inputs = [casadi.MX.sym("choice"), *functions[0].mx_in()]
-        return casadi.Function(name, inputs, functions[0].call(inputs[1:]))
-    return casadi.Function.conditional(name, functions[:-1], functions[-1])

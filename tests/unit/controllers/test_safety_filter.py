@@ -96,8 +96,6 @@ def test_the_yaw_rate_is_doubted_less_while_the_model_proves_right_and_at_once_w
     assert changed[0][230] == pytest.approx(changed[1][230]), "all of it again after 1.5 s"
     constant = doubts(narrows, lambda t: 0.01), doubts(replace(wide, yaw_doubt=0.004), lambda t: 0.01)
     assert constant[0][-1] < 1.1 * constant[1][-1], "an error that stays is known, not doubted"
-    with pytest.raises(ValueError, match="yaw_doubt_least"):
-        replace(wide, yaw_doubt_least=0.03)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -325,14 +323,10 @@ def test_compiled_it_is_the_same(backend: Any) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"halvings": 2.5}, "halvings = 2.5"),
-        ({"delay_doubt": math.nan}, "delay_doubt"),
+        ({"halvings": 2.5}, "halvings = 2.5, expected a whole number"),
         ({"gate": GateModel(), "horizon": 1.59}, "horizon"),  # the hold, and 1.2 s from side to side
-        ({"backup": Stanley.of(PASSAT)}, "backup of Stanley, expected DelayPredictor around Stanley"),
-        (
-            {"backup": DelayPredictor(block=CommandCompensation(block=Stanley.of(PASSAT)))},
-            "backup of CommandCompensation, expected",
-        ),
+        ({"backup": Stanley.of(PASSAT)}, "backup of another kind than DelayPredictor around Stanley"),
+        ({"backup": DelayPredictor(block=CommandCompensation(block=Stanley.of(PASSAT)))}, "backup of another kind"),
         ({"backup": delayed_stanley(PASSAT, delay=0.1, lag=0.1, dt=0.02)}, "dt = 0.05 s, but the backup has 0.02 s"),
     ],
 )
@@ -341,23 +335,9 @@ def test_what_cannot_be_is_refused(settings: dict[str, Any], message: str) -> No
         replace(SafetyFilter.of(PASSAT), **settings)
 
 
-@pytest.mark.parametrize(
-    ("name", "interval"),
-    [
-        ("bound", "[0.05, 100.0]"),
-        ("horizon", "[0.7, 10.0]"),  # the hold, and 0.3 s
-        *((name, "[0.0, 1.0]") for name in ("psi_doubt", "yaw_doubt", "ratio_doubt")),
-        *((name, "[0.0, 10.0]") for name in ("e_doubt", "approach")),
-        ("yaw_doubt_least", "[0.0, 0.01]"),
-        ("delay_doubt", "[0.0, 2.0]"),
-        ("preview_dt", "[1e-3, 10.0]"),
-        ("halvings", "[1, inf)"),
-        ("hold", "[1, inf)"),
-        ("preview_points", "[2, inf)"),
-    ],
-)
-def test_parameters_are_within_their_ranges(name: str, interval: str) -> None:
-    keeps_range(partial(replace, SafetyFilter.of(PASSAT)), name, interval)
+def test_ranges_that_depend_on_other_parameters() -> None:
+    keeps_range(partial(replace, SafetyFilter.of(PASSAT)), "horizon", "[0.7, 10.0]")  # the hold, and 0.3 s
+    keeps_range(partial(replace, SafetyFilter.of(PASSAT)), "yaw_doubt_least", "[0.0, 0.01]")
 
 
 def test_where_nothing_new_is_safe_the_plan_goes_on_and_then_the_backup_steers() -> None:

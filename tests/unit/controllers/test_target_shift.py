@@ -6,11 +6,10 @@ import math
 
 import pytest
 
-from steerkit.controllers.target_shift import ShiftState, TargetShift
+from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from tests.support.parts import Script
-from tests.support.ranges import keeps_range
 
 
 def test_the_target_comes_to_a_lost_car_and_goes_back_slowly() -> None:
@@ -42,11 +41,6 @@ def test_the_target_comes_to_a_lost_car_and_goes_back_slowly() -> None:
     ],
 )
 def test_a_sample_by_hand(before: float, e_path: float, e_dot_path: float, after: float) -> None:
-    shift, x = TargetShift(), ShiftState(before)
+    shift, x = TargetShift(), (before,)
     y = shift.output(0.0, x, shift.D(e_path, e_dot_path))
-    assert shift.update(0.0, x, shift.U(e_path, e_dot_path), y).shift == pytest.approx(after, abs=1e-12)
-
-
-def test_parameters_are_within_their_ranges() -> None:
-    for name in ("trip", "limit", "rate"):
-        keeps_range(TargetShift, name, "(0.0, inf)")
+    assert shift.update(0.0, x, shift.U(e_path, e_dot_path), y)[0] == pytest.approx(after, abs=1e-12)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from steerkit.paths.courses import course
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.catalogue import DesignModel, make_controller
 from steerkit.vehicles import vehicle
-from tests.support.ranges import keeps_range
 
 PASSAT = vehicle("vw-passat")
 STANLEY = Stanley.of(PASSAT)
@@ -124,19 +122,3 @@ def test_what_it_is_not_made_for() -> None:
         WithExcitation(block=Integrator(), vehicle=PASSAT)
     with pytest.raises(ValueError, match="expected among them delta_sw"):
         WithExcitation(block=ConstantSpeed(), vehicle=PASSAT)
-
-
-@pytest.mark.parametrize(
-    ("name", "interval"),
-    [
-        ("amplitude", "[0.0, 3.0]"),
-        ("frequency", "[0.01, 2.0]"),
-        ("steepness", "[1.0, 1e3]"),
-        ("most", "[0.0, 3.0]"),
-        ("a_y_most", "[0.1, 3.0]"),
-        ("v_least", "[0.5, 20.0]"),
-        ("number", "[0.0, 1e6]"),
-    ],
-)
-def test_parameters_are_within_their_ranges(name: str, interval: str) -> None:
-    keeps_range(partial(WithExcitation, block=STANLEY, vehicle=PASSAT), name, interval)
