@@ -25,11 +25,6 @@ Array = NDArray[np.float64]
 class Cost(Protocol):
     """What `steerkit.learning.nfq.iterate` asks of a cost."""
 
-    @property
-    def goal(self) -> float:
-        """|e| [m] below which the car counts as on the path."""
-        ...
-
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
         """Cost (n,) in [0, 1] and terminal (n,) of n transitions."""
         ...
@@ -138,11 +133,6 @@ class SmoothCost:
 
     def __post_init__(self) -> None:
         check_numbers(self, "SmoothCost")
-
-    @property
-    def goal(self) -> float:
-        """|e| [m] below which the car counts as on the path: the inner cost's."""
-        return self.cost.goal
 
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
         c, failed = self.cost(s, a, s_next)

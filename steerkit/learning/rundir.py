@@ -142,7 +142,7 @@ def _own_kind(name: str, where: str) -> type:
     kind = imported(name, where)
     fits = isinstance(kind, type) and is_dataclass(kind)
     known = (Scenario, Setting, FitSetting)
-    part = fits and (issubclass(kind, known) or all(hasattr(kind, n) for n in ("goal", "__call__")))
+    part = fits and (issubclass(kind, known) or any("__call__" in vars(base) for base in kind.__mro__))
     expected = "a dataclass that extends Scenario or Setting, or a cost"
     require(part, where, f"kind '{name}' is no part of an experiment, expected {expected}")
     return kind

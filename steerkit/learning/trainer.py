@@ -19,9 +19,9 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Self
 
-from steerkit._support.errors import require
+from steerkit._support.errors import require, require_within
 from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.iterate import Learned, Nets, Problem, update
@@ -68,43 +68,16 @@ class Result(NamedTuple):
     """What goes with the nets: see `Learned`."""
 
 
-class Training(Protocol):
-    """What an experiment asks of a trainer."""
-
-    def submit(self, job: Job, t: float) -> None:
-        """Train at driving time t [s], after the jobs before; returns at once (in simulation: when computed)."""
-        ...
-
-    def poll(self, t: float) -> Result | None:
-        """The newest job's result, once, when it is there at driving time t [s]; never waits."""
-        ...
-
-    @property
-    def busy(self) -> bool:
-        """Is there a job whose result is still to come?"""
-        ...
-
-    @property
-    def pending(self) -> Pending | None:
-        """What a checkpoint can keep of an unfinished job."""
-        ...
-
-    def close(self) -> None:
-        """End it, whatever it is doing."""
-        ...
-
-
 class SimulatedTrainer:
     """Trains in `submit`, and hands the nets out when the training would have been done on a car.
 
-    seconds: driving time charged for one update [s]; None: the computing time it really took (runs are then not
-    repeatable). A job begins when the one before it is done. nets: what the first job starts from. pending: the
-    unfinished job of a checkpoint, to go on with. An error in training is raised by `submit`.
+    seconds: driving time charged for one update [s]. A job begins when the one before it is done. nets: what the first
+    job starts from. pending: the unfinished job of a checkpoint, to go on with. An error in training is raised by
+    `submit`.
     """
 
-    def __init__(self, *, seconds: float | None = 1.0, nets: Nets = (), pending: Pending | None = None):
-        ok = seconds is None or (math.isfinite(seconds) and seconds >= 0.0)
-        require(ok, "SimulatedTrainer", f"seconds = {seconds} s, expected >= 0, or None for the time really taken")
+    def __init__(self, *, seconds: float = 1.0, nets: Nets = (), pending: Pending | None = None):
+        require_within("SimulatedTrainer", "seconds", seconds, "s", 0.0, math.inf)
         self.seconds, self.learned = seconds, pending[2] if pending else Learned(nets)
         self._pending = pending
         self._newest, self._spent = pending[1] if pending else 0, 0.0
@@ -114,10 +87,9 @@ class SimulatedTrainer:
         _require_newer(job, self._newest)
         began = time.perf_counter()
         self.learned = job.train(self.learned)
-        taken = time.perf_counter() - began
-        self._newest, self._spent = job.number, self._spent + taken
+        self._newest, self._spent = job.number, self._spent + time.perf_counter() - began
         start = max(t, self._pending[0]) if self._pending else t
-        self._pending = (start + (taken if self.seconds is None else self.seconds), job.number, self.learned)
+        self._pending = (start + self.seconds, job.number, self.learned)
 
     def poll(self, t: float) -> Result | None:
         """The newest nets, once, if they would be ready at driving time t [s]."""
@@ -283,6 +255,10 @@ def _train(job: Job) -> tuple[Learned, float]:
     began = time.perf_counter()
     _learned = job.train(_learned)
     return _learned, time.perf_counter() - began
+
+
+Training = SimulatedTrainer | Trainer
+"""What trains: `submit` a job, `poll` for its result, ask whether it is `busy` or has something `pending`."""
 
 
 def _require_newer(job: Job, newest: int) -> None:

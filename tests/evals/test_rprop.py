@@ -110,15 +110,6 @@ def test_both_engines_reach_the_same_error() -> None:
 
 
 @engines
-def test_xor_is_learned(engine: rprop.Engine) -> None:
-    x = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
-    y = np.array([0, 1, 1, 0], np.float32)
-    errors = [fit(new_net((2, 6, 1), seed), x, y, epochs=200, engine=engine).errors for seed in range(5)]
-    assert sum(e[-1] < 0.01 for e in errors) >= 4
-    assert all(e[0] > 0.2 for e in errors)
-
-
-@engines
 def test_equal_arguments_give_equal_bits_on_any_thread(engine: rprop.Engine) -> None:
     net, (x, y) = new_net(seed=5), data((7, 10, 10, 1), 1000)
     with ThreadPoolExecutor(2) as pool:

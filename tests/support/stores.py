@@ -30,5 +30,11 @@ def same(one: Transitions, other: Transitions) -> bool:
 
 def kept(path: Path, record: Transitions, run: str = "a") -> Path:
     with TransitionStore(path, run=run) as store:
-        store.extend(record)
+        fill(store, record)
     return path
+
+
+def fill(store: TransitionStore, record: Transitions) -> None:
+    """Append all of a record."""
+    for row in zip(record.s.tolist(), record.a.tolist(), record.s_next.tolist(), record.episode.tolist()):
+        store.append(*row)

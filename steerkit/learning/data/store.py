@@ -70,14 +70,9 @@ def connect(path: FilePath, timeout: float = 5.0) -> sqlite3.Connection:
 @contextmanager
 def transaction(db: sqlite3.Connection) -> Iterator[sqlite3.Connection]:
     """All that is written inside, or nothing; the write lock is taken at once, so that nothing comes in between."""
-    db.execute("BEGIN IMMEDIATE")
-    try:
+    with db:
+        db.execute("BEGIN IMMEDIATE")
         yield db
-        db.execute("COMMIT")
-    except BaseException:
-        if db.in_transaction:
-            db.execute("ROLLBACK")
-        raise
 
 
 @contextmanager
@@ -111,7 +106,10 @@ def opened(path: FilePath, names: Sequence[str] | None, *, create: bool) -> tupl
         if not blank:
             if numbers["application_id"] != APPLICATION:
                 raise StoreError(f"{path}: an SQLite file of another program, not a transition store")
-            check_schema(path, numbers["user_version"])
+            schema = numbers["user_version"]
+            reason = "a newer steerkit wrote it, update yours" if schema > SCHEMA else "no steerkit ever wrote that"
+            if schema != SCHEMA:
+                raise StoreError(f"{path}: schema {schema}, expected {SCHEMA}: {reason}")
             check = db.execute("PRAGMA quick_check(1)").fetchone()[0]
             if check != "ok":
                 raise StoreError(f"{path}: damaged ({check}); use a copy, or a new file")
@@ -138,26 +136,6 @@ def _create(path: FilePath, names: tuple[str, ...]) -> None:
         for table in TABLES:
             db.execute(table)
         db.execute("INSERT OR IGNORE INTO meta VALUES ('names', ?)", (json.dumps(names),))
-
-
-def check_schema(path: Path, schema: int) -> None:
-    """Raise StoreError unless this steerkit knows the schema."""
-    if schema != SCHEMA:
-        reason = "a newer steerkit wrote it, update yours" if schema > SCHEMA else "no steerkit ever wrote that"
-        raise StoreError(f"{path}: schema {schema}, expected {SCHEMA}: {reason}")
-
-
-def insert(db: sqlite3.Connection, run: int, n: int, rows: Sequence[Row]) -> None:
-    """Write rows n, n + 1, ... of a run."""
-    numbered = ((run, n + i, *row) for i, row in enumerate(rows))
-    db.executemany("INSERT INTO transition VALUES (?, ?, ?, ?, ?)", numbered)
-
-
-def rows_of(transitions: Transitions) -> list[Row]:
-    """Transitions as the file keeps them."""
-    numbers = np.column_stack([transitions.s, transitions.a, transitions.s_next]).astype("<f8")
-    texts = [row.tobytes() for row in numbers]
-    return [(episode, text, checksum(episode, text)) for episode, text in zip(transitions.episode.tolist(), texts)]
 
 
 def checksum(episode: int, numbers: bytes) -> int:
@@ -223,11 +201,6 @@ class TransitionStore:
             raise ValueError(f"TransitionStore: {bad}, expected a finite number; end the episode before it")
         row = self._pack(*numbers)
         self._writing().waiting.append((int(episode), row, checksum(int(episode), row)))
-
-    def extend(self, transitions: Transitions) -> None:
-        """Record all of `transitions`, under their episode numbers; returns at once, as `append`."""
-        require(transitions.names == self.names, f"{self.path}", f"has {self.names}, got {transitions.names}")
-        self._writing().waiting.extend(rows_of(transitions))
 
     def flush(self, timeout: float = 10.0) -> None:
         """Wait until all that was appended is on the disk; raises StoreError when it is not within `timeout` [s]."""
@@ -367,7 +340,8 @@ class _Writer(threading.Thread):
                 with transaction(self._db) as db:
                     query = "SELECT coalesce(max(n) + 1, 0) FROM transition WHERE run = ?"
                     (n,) = db.execute(query, (self.number,)).fetchone()
-                    insert(db, self.number, n, rows)
+                    numbered = ((self.number, n + i, *row) for i, row in enumerate(rows))
+                    db.executemany("INSERT INTO transition VALUES (?, ?, ?, ?, ?)", numbered)
         except StoreError:
             self._disconnect()
             raise

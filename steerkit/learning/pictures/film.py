@@ -9,7 +9,6 @@ first whole round or the run's end, is shown as fast as the film's length needs.
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -37,14 +36,6 @@ COLOURS_KEPT = 64
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Moments:
-    """Which driving time each picture shows, and how many times faster than it was driven."""
-
-    t: Array
-    speed: Array
-
-
 def film_of(place: str | FilePath, file: str | FilePath, *, lasts: float = 20.0, fps: float = 12.5) -> FilePath:
     """Write the film of a run directory to `file`, a .gif.
 
@@ -59,17 +50,20 @@ def film_of(place: str | FilePath, file: str | FilePath, *, lasts: float = 20.0,
     done = rundir.document(FilePath(place))["counts"]["first_round_done"]
     require(len(record.log.t) >= 2, "film", f"{place}: nothing has been driven yet")
     until = float(record.log.t[-1]) if done is None else min(float(done), float(record.log.t[-1]))
-    moments = moments_of(record, until, lasts, fps)
+    moments = zip(*moments_of(record, until, lasts, fps))
     with style():
         scene = _Scene(record, until, None if done is None else float(done))
-        frames = [scene.picture(float(t), float(speed)) for t, speed in zip(moments.t, moments.speed)]
+        frames = [scene.picture(float(t), float(speed)) for t, speed in moments]
     file.parent.mkdir(parents=True, exist_ok=True)
     _write(frames, file, fps)
     return file
 
 
-def moments_of(record: Record, until: float, lasts: float, fps: float) -> Moments:
-    """The beginning in real time, if that takes no more than half of the film, the rest evenly."""
+def moments_of(record: Record, until: float, lasts: float, fps: float) -> tuple[Array, Array]:
+    """The driving time that each picture shows, and how many times faster than driven.
+
+    The beginning in real time, if that takes no more than half of the film, the rest evenly.
+    """
     learns, t = record.learning, record.log.t
     failed = float(t[record.failed_at[0]]) if len(record.failed_at) else None
     again = t[learns & (t > failed)] if failed is not None else t[:0]
@@ -79,7 +73,7 @@ def moments_of(record: Record, until: float, lasts: float, fps: float) -> Moment
     first = np.arange(0.0, begin, slow / fps)
     rest = np.linspace(begin, until, max(2, pictures - len(first)))
     fast = max(1.0, (until - begin) / (lasts - begin / slow))
-    return Moments(np.concatenate((first, rest)), np.repeat([slow, fast], [len(first), len(rest)]))
+    return np.concatenate((first, rest)), np.repeat([slow, fast], [len(first), len(rest)])
 
 
 class _Scene:

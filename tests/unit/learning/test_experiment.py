@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.controllers.policy import DOE, PSI_E, E
+from steerkit.controllers.policy import DOE
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
-from steerkit.learning.settings import DEFAULT
 from steerkit.scenario import Scenario
 from tests.support.short_run import SHORT
 
@@ -41,12 +40,10 @@ def test_no_transition_is_recorded_under_recovery(kept: Path) -> None:
     assert failures.sum() == tripped
 
 
-def test_the_same_seed_gives_the_same_run_and_another_seed_another(kept: Path) -> None:
-    assert np.array_equal(
-        learn(replace(SHORT, minutes=0.3)).transitions.s, learn(replace(SHORT, minutes=0.3)).transitions.s
-    )
-    a, b = learn(replace(SHORT, minutes=0.3)), learn(replace(SHORT, minutes=0.3, seed=4))
-    assert not np.array_equal(a.transitions.a[:20], b.transitions.a[:20])
+def test_the_same_seed_gives_the_same_run_and_another_seed_another() -> None:
+    one, same, other = (learn(replace(SHORT, minutes=0.3, seed=seed)).transitions for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.s, same.s)
+    assert not np.array_equal(one.a[:20], other.a[:20])
 
 
 def test_a_reset_puts_the_car_back_and_costs_its_time(tmp_path: Path) -> None:
@@ -76,28 +73,6 @@ def test_with_a_shift_the_target_comes_to_the_car_and_the_learner_drives_on(tmp_
     beyond = np.flatnonzero(np.abs(log["path.e"]) > 0.5)
     assert learning[beyond].any()
     assert run.counts.failures == (np.abs(run.transitions.s_next[:, 0]) > 0.5).sum()
-
-
-def test_on_an_open_course_the_way_back_to_the_start_is_no_transition_and_no_failure() -> None:
-    fit = replace(DEFAULT.fit, epochs=100, imagined=1000, iterations=1)
-    setting = replace(DEFAULT, fit=fit, retrain_every_m=20.0, fit_seconds=0.5)
-    run = LearningRun(Experiment(setting=setting, scenario=Scenario(course="slalom"), minutes=0.8, seed=3))
-    path, carried = run.loop.names.index("path"), 0
-    while not run.done():
-        before, lasting = run.y[path], run.counts.episode
-        run.drive()
-        if run.y[path].s < before.s - 10.0:  # type: ignore[attr-defined]
-            carried += 1
-            assert lasting is None or (lasting.ended, lasting.failed) == (run.t, False)
-            assert run.counts.episode is None
-            rows = len(run.transitions)
-            run.drive()
-            assert len(run.transitions) == rows
-    ends = [episode for episode in run.counts.episodes if episode.ended is not None and not episode.failed]
-    assert carried == len(ends) >= 1  # at the wheel each time
-    columns = np.abs(run.transitions.s_next - run.transitions.s)
-    assert columns[:, E].max() < 0.3
-    assert columns[:, PSI_E].max() < 0.1
 
 
 def test_a_car_that_is_nowhere_is_an_error_and_no_silence() -> None:

@@ -20,24 +20,6 @@ from tests.support.short_run import SHORT
 from tests.support.yard import yard
 
 
-def test_an_interrupted_run_goes_on_with_the_same_numbers(kept: Path, tmp_path: Path) -> None:
-    class Killed(Exception):
-        pass
-
-    def kill(what: str, run: LearningRun) -> None:
-        if run.counts.updates == 3:
-            raise Killed
-
-    with pytest.raises(Killed):
-        learn(SHORT, tmp_path / "again", watch=kill)
-    resumed = learn(SHORT, tmp_path / "again")
-    whole = rundir.load(kept)
-    assert np.array_equal(resumed.transitions.s, whole.transitions.s)
-    assert resumed.counts.episodes == whole.counts.episodes
-    a, b = rundir.drive_log(tmp_path / "again"), rundir.drive_log(kept)
-    assert all(np.array_equal(a[name], b[name]) for name in a)
-
-
 def test_broken_and_foreign_directories_are_named(kept: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"no run\.json"):
         rundir.load(tmp_path)
@@ -86,7 +68,6 @@ def test_a_sparse_configuration_takes_the_defaults() -> None:
 
 CURT = replace(SHORT.setting, fit=FitSetting(epochs=3, mirror=True, nets=1), fit_seconds=0.5)
 RUNS = {
-    "driving on": Experiment(setting=replace(CURT, retrain_every_m=4.0), minutes=0.15, seed=3),
     "carried back": Experiment(setting=replace(CURT, after_failure="reset", reset_seconds=5.0), minutes=0.5, seed=3),
     "noise and chance": Experiment(
         setting=replace(CURT, retrain_every_m=4.0, exploration=0.2),

@@ -150,18 +150,6 @@ def test_simulated_nets_are_ready_when_the_charged_time_has_passed() -> None:
     assert trainer.poll(41.5) is not None
 
 
-def test_measured_time_is_charged_as_it_was_taken() -> None:
-    trainer = SimulatedTrainer(seconds=None)
-    trainer.submit(job(1), 10.0)
-    assert trainer.pending is not None
-    ready = trainer.pending[0]
-    assert ready > 10.0
-    assert trainer.poll(10.0) is None
-    result = trainer.poll(ready)
-    assert result is not None
-    assert result.seconds == pytest.approx(ready - 10.0)
-
-
 def test_a_simulated_training_goes_on_from_a_checkpoint() -> None:
     before = SimulatedTrainer(seconds=2.0)
     before.submit(job(1), 10.0)

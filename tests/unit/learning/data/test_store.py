@@ -14,39 +14,29 @@ import numpy as np
 import pytest
 
 from steerkit.learning.data.store import StoreError, TransitionStore
-from steerkit.learning.data.transitions import Transitions
-from tests.support.stores import AWKWARD, drive, kept, same
+from tests.support.stores import AWKWARD, drive, fill, kept, same
 
 
 def test_rows_come_back_in_order_and_bit_for_bit(tmp_path: Path) -> None:
     whole = drive(300)
     whole.append(AWKWARD, -0.0, AWKWARD, 99)
     with TransitionStore(tmp_path / "t.db", run="a") as store:
-        for k in range(150):
-            store.append(whole.s[k].tolist(), float(whole.a[k]), whole.s_next[k].tolist(), int(whole.episode[k]))
-        rest = Transitions()
-        rest.extend(whole.s[150:], whole.a[150:], whole.s_next[150:], whole.episode[150:])
-        store.extend(rest)
+        fill(store, whole)
         store.flush()
         assert (store.committed, store.waiting, store.fault) == (301, 0, "")
         assert same(store.transitions(), whole)  # another reader, while it is open to be written
     assert same(TransitionStore(tmp_path / "t.db").transitions("a"), whole)
 
 
-def test_two_hundred_thousand_rows(tmp_path: Path) -> None:
-    whole = drive(200_000)
-    assert same(TransitionStore(kept(tmp_path / "t.db", whole)).transitions(), whole)
-
-
 def test_a_run_goes_on_where_it_was_and_can_be_cut_back(tmp_path: Path) -> None:
     path = kept(tmp_path / "t.db", drive(30))
     with TransitionStore(path, run="a") as store:
         assert store.next_episode() == 4
-        store.extend(drive(10, seed=1, first_episode=4))
+        fill(store, drive(10, seed=1, first_episode=4))
     assert TransitionStore(path).runs() == {"a": 40}
     with TransitionStore(path, run="a") as store:
         store.cut(30)
-        store.extend(drive(5, seed=2, first_episode=4))
+        fill(store, drive(5, seed=2, first_episode=4))
     rows = TransitionStore(path).transitions()
     assert rows.s[30:].tobytes() == drive(5, seed=2).s.tobytes()
     assert rows.s[:30].tobytes() == drive(30).s.tobytes()
@@ -98,7 +88,7 @@ def test_a_locked_database_does_not_stop_append_and_loses_nothing(
 ) -> None:
     store, other = blocked
     whole = drive(1000)
-    store.extend(whole)
+    fill(store, whole)
     for _ in range(500):  # would never return if append waited for the lock: nobody else releases it
         store.append([1.0] * 6, 0.5, [2.0] * 6, 200)
     with pytest.raises(StoreError, match=r"1500 transitions are not written after 0\.5 s: .*locked"):

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from steerkit.learning.data.store import StoreError, TransitionStore, connect, merge, transaction
-from steerkit.learning.data.transitions import Transitions
 from tests.support.stores import drive, kept, same
 
 FULL = 2
@@ -81,25 +80,12 @@ def test_a_creation_that_was_killed_halfway_is_made_good(tmp_path: Path) -> None
     assert len(TransitionStore(kept(tmp_path / "t.db", drive(7))).transitions()) == 7
 
 
-def rows(n: int, first_episode: int = 1) -> Transitions:
-    rng = np.random.default_rng(n)
-    record = Transitions()
-    record.extend(rng.normal(size=(n, 6)), rng.normal(size=n), rng.normal(size=(n, 6)), first_episode)
-    return record
-
-
-def filled(path: Path, run: str, n: int) -> Path:
-    with TransitionStore(path, run=run) as store:
-        store.extend(rows(n))
-    return path
-
-
 def test_every_commit_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[tuple[Any, ...]] = []
 
     class Watched(sqlite3.Connection):
         def execute(self, sql: str, *values: Any) -> sqlite3.Cursor:
-            if sql == "COMMIT":
+            if sql == "BEGIN IMMEDIATE":
                 pragmas = ("synchronous", "journal_mode")
                 seen.append(tuple(super(Watched, self).execute(f"PRAGMA {name}").fetchone()[0] for name in pragmas))
             return super().execute(sql, *values)
@@ -114,13 +100,13 @@ def test_every_commit_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.Mon
         assert len(seen) == 3
         store.cut(0)
         assert len(seen) == 4
-    merge(tmp_path / "m.db", [filled(path, "b", 5)])
+    merge(tmp_path / "m.db", [kept(path, drive(5), run="b")])
     assert len(seen) >= 8
     assert set(seen) == {(FULL, "wal")}
 
 
 def test_a_transaction_has_the_write_lock_from_its_first_moment(tmp_path: Path) -> None:
-    path = filled(tmp_path / "t.db", "a", 1)
+    path = kept(tmp_path / "t.db", drive(1))
     one, other = connect(path), connect(path, timeout=0.0)
     with transaction(one), pytest.raises(sqlite3.OperationalError, match="locked"):
         other.execute("BEGIN IMMEDIATE")
@@ -130,7 +116,7 @@ def test_a_transaction_has_the_write_lock_from_its_first_moment(tmp_path: Path) 
 
 
 def test_a_transaction_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    path = filled(tmp_path / "t.db", "a", 3)
+    path = kept(tmp_path / "t.db", drive(3))
     db = connect(path)
 
     def fails() -> None:
@@ -148,7 +134,7 @@ def test_a_transaction_that_fails_leaves_nothing(tmp_path: Path) -> None:
     "change", ["episode = episode + 1", "episode = -episode", "crc = crc + 1", "numbers = zeroblob(104)"]
 )
 def test_a_row_that_was_changed_behind_the_stores_back_is_noticed(change: str, tmp_path: Path) -> None:
-    path = filled(tmp_path / "t.db", "a", 5)
+    path = kept(tmp_path / "t.db", drive(5))
     db = connect(path)
     db.execute(f"UPDATE transition SET {change} WHERE n = 2")
     db.close()
@@ -159,8 +145,8 @@ def test_a_row_that_was_changed_behind_the_stores_back_is_noticed(change: str, t
 def test_cutting_a_run_back_leaves_the_others_whole(tmp_path: Path) -> None:
     path = tmp_path / "t.db"
     for run, n in (("a", 7), ("b", 5)):
-        filled(path, run, n)
+        kept(path, drive(n), run=run)
     with TransitionStore(path, run="b") as store:
         store.cut(3)
     assert TransitionStore(path).runs() == {"a": 7, "b": 3}
-    np.testing.assert_array_equal(TransitionStore(path).transitions("b").s, rows(5).s[:3])
+    np.testing.assert_array_equal(TransitionStore(path).transitions("b").s, drive(5).s[:3])

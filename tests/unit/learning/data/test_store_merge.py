@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from steerkit.learning.data.store import StoreError, TransitionStore, merge
-from tests.support.stores import drive, kept, same
+from tests.support.stores import drive, fill, kept, same
 
 
 def test_merging_labels_runs_and_keeps_episodes_apart(tmp_path: Path) -> None:
@@ -30,12 +30,12 @@ def test_merging_again_adds_only_what_is_new(tmp_path: Path) -> None:
     shutil.copy(source, tmp_path / "copy.db")
     assert merge(target, [source, tmp_path / "copy.db"]) == {"a": 20}
     with TransitionStore(source, run="a") as store:
-        store.extend(drive(5, seed=1, first_episode=3))
+        fill(store, drive(5, seed=1, first_episode=3))
     assert merge(target, [source]) == {"a": 25}
     assert same(TransitionStore(target).transitions(), TransitionStore(source).transitions())
     with TransitionStore(source, run="a") as store:
         store.cut(10)
-        store.extend(drive(15, seed=9))
+        fill(store, drive(15, seed=9))
     with pytest.raises(StoreError, match="15 rows of run 'a' have changed since it was merged"):
         merge(target, [source])
 
