@@ -281,16 +281,14 @@ class VehicleState(Block):
 
     *Late measurements.* The filter's time is `horizon` + dt before now. Measurements are put, by their age, into a
     buffer of samples; one comes out of it each time, is moved to the sample's time along the car's course, and
-    filtered. So order and lateness up to `horizon` do not matter, a stamp that comes twice counts once, and nothing is
-    filtered again; what is later counts as missing. From there the model predicts to now under the wheel's angles,
-    which are not late.
+    filtered. So order and lateness up to `horizon` do not matter, a stamp that comes twice counts once; what is later
+    counts as missing. From there the model predicts to now under the wheel's angles, which are not late.
 
     *Jumps.* A measurement further off than `gate` deviations is rejected. If it stays so for `patience`, it is
     accepted: motion and sensor are then each as uncertain as the jump is large. *Outages* are bridged by the model and
     whatever still arrives, under deviations that grow. *Doubt.* If innovations to the side, of the heading or of the
-    gyro keep one sign (their mean over 0.5 s beyond sqrt(7) deviations of it), the car is not as modelled: a
-    ratio, tyres, wind. Noise of wheel and sideslip is then raised by the excess times 0.6 and 0.3 degrees a sample,
-    squared, so that the sensors are trusted more.
+    gyro keep one sign (their mean over 0.5 s beyond sqrt(7) deviations of it), the car is not as modelled: a ratio,
+    tyres, wind. Noise of wheel and sideslip is then raised by the excess times 0.6 and 0.3 degrees a sample, squared.
 
     *A car that is not as on its data sheet.* With `steering`, a filter of the measured wheel and the gyro, the ratio
     (as a multiple g of the data sheet's), the understeer gradient K', the offset and the gyro's zero are used as they
@@ -299,25 +297,22 @@ class VehicleState(Block):
         angle = (delta_sw_meas + offset)/g (L + K v^2)/(L + K' v^2),   rate = r_in - rate_zero
 
     take the place of delta_sw_meas and r_in: the angle at which the car of the data sheet, L, K, turns as fast. What is
-    used starts with the data sheet (g = 1, K' = K, 0, 0) and follows an estimate while that is valid, no faster and no
-    further than `FOLLOWED` says; else it stays. Remaining zeros are in gyro_zero and wheel_offset.
+    used starts with the data sheet and follows an estimate while that is valid, no faster and no further than
+    `FOLLOWED` says. Remaining zeros are in gyro_zero and wheel_offset.
 
     inputs: x_in, y_in [m], psi_in [rad] (any turn) of the centre of gravity, and their age_in [s]; v_in [m/s] and r_in
     [rad/s], and their motion_age_in [s]; NaN where nothing came. delta_sw_meas [rad], now; NaN: as before.
-    outputs, at this time: x, y, psi, v, beta, r (NaN before the first position); side_deviation [m] (across the car),
-    psi_deviation, beta_deviation [rad], r_deviation [rad/s], standard deviations; outage [1], 1 if no position was used
-    for 0.3 s; rejected [1], 1 if a measurement of the last sample was, missing [1], 1 if one of them was not
-    there; doubt [1], the excess, 0 if none; gyro_zero [rad/s], heading_bias, wheel_offset [rad] with
-    gyro_zero_deviation, heading_bias_deviation, wheel_offset_deviation, and gyro_zero_valid, heading_bias_valid,
-    wheel_offset_valid [1]: is the deviation at most half of what it was before anything was measured; nis, nis_count
-    [1]: sum and number of the last sample's normalised innovations squared of position, heading and gyro, of mean 1
-    each if the deviations are right; ratio [1], over the data sheet's, and understeer_change [rad s^2/m], K' - K, in
-    use: 1 and 0 without `steering`.
+    outputs, at this time: x, y, psi, v, beta, r (NaN before the first position); standard deviations: side_deviation
+    [m] (across the car), psi_deviation, beta_deviation [rad], r_deviation [rad/s]; outage [1]: was no position used for
+    0.3 s? rejected, missing [1]: was a measurement of the last sample rejected, or not there? doubt [1], the excess;
+    gyro_zero [rad/s], heading_bias, wheel_offset [rad] with gyro_zero_deviation, heading_bias_deviation,
+    wheel_offset_deviation, and gyro_zero_valid, heading_bias_valid, wheel_offset_valid [1]: is the deviation at most
+    half of that at first? nis, nis_count [1]: sum and number of the last sample's normalised innovations squared of
+    position, heading and gyro, of mean 1 each if the deviations are right; ratio [1] in use over the data sheet's.
     All but nis follow from the state and the wheel. state: 13 means, 91 covariances (upper triangle), the wheel's last
     angles, the buffer, `Memory`; with `steering` its state and `Followed`.
-    valid: forward driving; a v below 0 counts as 0. At standstill nothing drifts, for rhs then says that nothing turns.
-    In a batch parameters may be `(N,)` arrays. errors: ValueError for parameters out of range, for a `steering` that is
-    made for commands or has another sample time.
+    valid: forward driving; a v below 0 counts as 0. In a batch parameters may be `(N,)` arrays. errors: ValueError for
+    parameters out of range, for a `steering` that is made for commands or has another sample time.
     source: Gelb 1974, ch. 4 and 6; Bar-Shalom, Li, Kirubarajan 2001, sections 5.4 (normalised innovations) and 11.6
     (adaptive noise); Astrom, Wittenmark 1995, section 3.1 (certainty equivalence); Rajamani 2012, section 3.3.
     """
@@ -351,7 +346,6 @@ class VehicleState(Block):
     nis = Out("1", direct=())
     nis_count = Out("1", direct=())
     ratio = Out("1", direct=())
-    understeer_change = Out("rad s^2/m", direct=())
 
     rhs: Rhs
     """The car's motion: a plant's `rhs`."""
@@ -506,11 +500,10 @@ class VehicleState(Block):
         side = s * s * xx - 2.0 * s * c * xy + c * c * yy + turned
         deviation = [m.sqrt(m.maximum(variance, 0.0)) for variance in (side, *[row[0] for row in p])]
         psi_d, sway_d, r_d = deviation[1 + PSI], deviation[1 + SWAY], deviation[1 + R]
-        gyro, heading, offset, ratio, change = mean[GYRO], mean[HEADING], mean[WHEEL], 1.0, 0.0
+        gyro, heading, offset, ratio = mean[GYRO], mean[HEADING], mean[WHEEL], 1.0
         if self.steering is not None:
             used = self._followed(x)
             gyro, offset, ratio = gyro + used.rate_zero, used.ratio * offset + used.offset, used.ratio
-            change = used.understeer - self.steering.vehicle.understeer_gradient
         zeros: list[Scalar] = []
         for i, value in ((GYRO, gyro), (HEADING, heading), (WHEEL, offset)):
             valid = m.where(deviation[1 + i] <= 0.5 * self._processes[i - A][1], 1.0, 0.0)
@@ -529,7 +522,6 @@ class VehicleState(Block):
             memory.nis,
             memory.nis_count,
             ratio,
-            change,
         )
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:

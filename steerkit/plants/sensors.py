@@ -15,7 +15,6 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.task import DT
 from steerkit.vehicles import Vehicle
 
 _STREAM, _STREAM_DEGRADED = 2, 13  # of `seed_state`: the sensors', and what goes wrong
@@ -87,16 +86,16 @@ class Sensors(Block):
     """Seed of the random numbers."""
 
     @classmethod
-    def hard(cls, seed: int = 0, *, dt: float = DT) -> Self:
+    def hard(cls, seed: int = 0) -> Self:
         """A demanding but ordinary set: RTK position drifting by 1 cm, heading by 0.1 deg, gyro noise, 50 ms late."""
         drifts: Any = dict(position_drift=0.01, psi_drift=radians_of(0.1), drift_time=2.0)
-        return cls(**drifts, r_noise=radians_of(0.2), latency=0.05, seed=seed, dt=dt)
+        return cls(**drifts, r_noise=radians_of(0.2), latency=0.05, seed=seed)
 
     @classmethod
-    def real(cls, seed: int = 0, *, dt: float = DT) -> Self:
+    def real(cls, seed: int = 0) -> Self:
         """As `hard`, and what a car in series has: a speed from its wheels with 0.05 m/s of noise.
         `DegradedSensors.real` adds what goes wrong on the way, and has no sideslip."""
-        return replace(cls.hard(seed, dt=dt), v_noise=0.05)
+        return replace(cls.hard(seed), v_noise=0.05)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -216,12 +215,12 @@ class DegradedSensors(Block):
         require_within(where, "age_jitter", self.age_jitter, "s", 0.0, self.dt, "at most dt")
 
     @classmethod
-    def real(cls, vehicle: Vehicle, seed: int = 0, *, dt: float = DT) -> Self:
+    def real(cls, vehicle: Vehicle, seed: int = 0) -> Self:
         """A production car with a good satellite receiver: `Sensors.real`, up to 20 ms of jitter, one sample in a
-        hundred lost, jumps of 2 cm every 20 s, a heading that wanders by 0.2 degrees
-        within minutes, sideslip unknown."""
+        hundred lost, jumps of 2 cm every 20 s, a heading that wanders by 0.2 degrees within minutes, sideslip unknown.
+        """
         faults: Any = dict(age_jitter=0.02, lost=0.01, jump=0.02, heading_drift=radians_of(0.2))
-        return cls(block=Sensors.real(seed, dt=dt), rear=vehicle.l_r, dt=dt, **faults)
+        return cls(block=Sensors.real(seed), rear=vehicle.l_r, **faults)
 
     def scaled(self, size: float) -> Self:
         """The same with all errors but the age `size` times as large; `lost` too, up to a half."""
