@@ -16,7 +16,7 @@ from steerkit.cli.options import Machine, Quiet
 from steerkit.identification import identify
 from steerkit.logs import read_drive
 from steerkit.logs import resimulate as again
-from steerkit.plants.steering_actuator import SteeringActuator, sampled_steering, steering_of
+from steerkit.plants.steering_actuator import SteeringActuator, steering_in, steering_of
 from steerkit.plots.animation import film_writer
 from steerkit.plots.style import save
 from steerkit.vehicles import vehicle as vehicle_named
@@ -79,7 +79,7 @@ def _car(file: str, drive: Any) -> tuple[Any, Any, str]:
         motor = steering_of(file) if file.endswith(".toml") else SteeringActuator()
         return vehicle_named(file), motor, f"the car: {file}, delay {motor.delay:.2f} s, lag {motor.lag:.2f} s"
     found = identify(drive)
-    motor = sampled_steering(**found.steering)
+    motor = steering_in(found.text(), "the identified car")
     known = f"ratio {found.vehicle.steer_ratio:.2f}, lag {motor.lag + motor.delay:.2f} s"
     return found.vehicle, motor, f"the car, as identified from the drive: {known}"
 

@@ -35,7 +35,7 @@ _WINDOW = 40.0
 """Longest time over which headings are compared [s]."""
 _N = 6
 _OFFSET, _DISTURBANCE, _PLAY = 2, 4, 5
-_FILTERS = 16
+_WINDOWS, _FILTERS = 13, 16
 _BOUNDS = ((0.4, 2.5), (-0.02, 0.05), (-0.5, 0.5), (-0.1, 0.1), (-0.2, 0.2), (-1.0, 4.0))
 """Of gain, understeer gradient [rad s^2/m], offset [rad], gyro zero [rad/s], disturbance [rad], play [1]."""
 
@@ -148,12 +148,11 @@ class SingleTrackFilter(Block):
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero, variances = m.filled(0.0, batch), self._variances
-        start = (1.0, self.vehicle.understeer_gradient, 0.0, 0.0, 0.0, self.play)
+        numbers = (1.0, self.vehicle.understeer_gradient, 0.0, 0.0, 0.0, self.play)
         covariance = [[m.filled(variance, batch), *(zero,) * (_N - 1 - i)] for i, variance in enumerate(variances)]
-        line = (zero,) * (self._first - _FILTERS)
-        first_window = m.filled(_WINDOW / 8.0, batch)
-        held = (zero, m.filled(SLOWEST, batch), *(zero,) * (_FILTERS - 5), first_window, zero, zero)
-        return (*held, *line, *[m.filled(value, batch) for value in start], *kalman.packed(covariance))
+        start = [zero] * self._first
+        start[1], start[_WINDOWS] = m.filled(SLOWEST, batch), m.filled(_WINDOW / 8.0, batch)
+        return (*start, *[m.filled(value, batch) for value in numbers], *kalman.packed(covariance))
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         numbers, p = x[self._first : self._first + _N], kalman.unpacked(x[self._first + _N :], _N)
@@ -169,11 +168,9 @@ class SingleTrackFilter(Block):
             (disturbance, deviations[4], 0.5 * math.sqrt(variances[4])),
             (offset + disturbance, m.sqrt(m.maximum(kalman.covariance(p, total, total), 0.0)), radians_of(0.35)),
         )
-        flat = [
-            entry
-            for value, deviation, most in found
-            for entry in (value, deviation, m.where(deviation <= most, 1.0, 0.0))
-        ]
+        flat: list[Scalar] = []
+        for value, deviation, most in found:
+            flat += [value, deviation, m.where(deviation <= most, 1.0, 0.0)]
         return self.Y(*flat, x[2])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
@@ -225,18 +222,16 @@ class SingleTrackFilter(Block):
         going = m.where(whole, 1.0, 0.0)
         # the angle on its way
         command = m.where(known, u.delta_sw, angle)
-        line, (corner, part, arrives) = arrived(
-            line, command, delay - (0.0 if self.held else dt), lag, dt, held=self.held
-        )
+        delay = delay - (0.0 if self.held else dt)
+        line, (corner, part, arrives) = arrived(line, command, delay, lag, dt, held=self.held)
         mean = 0.5 * (corner + part * came + (1.0 - part) * arrives)
         beta, rate = yaw_step(p, beta, rate, mean / p.steer_ratio, v, dt)
         turning = (rate / steady_gain(p, v) - w) / dt
         w = rate / steady_gain(p, v)
         since = m.where(acts, m.minimum(since + 1.0, 1e6), 0.0)
         missing, behind = m.where(read, 0.0, 1.0), w - m.clip(w - behind, -_GAP, _GAP)
-        motion = (command, v, missing, since, w, beta, rate, stands)
-        heading = (turned, clock, start, going, arrives, window, turning, behind)
-        return (*motion, *heading, *line, *numbers, *kalman.packed(covariance))
+        filters = (command, v, missing, since, w, beta, rate, stands, turned, clock, start, going, arrives)
+        return (*filters, window, turning, behind, *line, *numbers, *kalman.packed(covariance))
 
     def _expected(self, numbers: State, w: Scalar, behind: Scalar, v: Scalar) -> tuple[Scalar, tuple[Scalar, ...]]:
         """What the gyro should say [rad/s], and its derivatives with respect to the six numbers.
@@ -250,14 +245,8 @@ class SingleTrackFilter(Block):
         angle = w - play * (w - behind) + offset + disturbance
         turn = per_angle * angle
         slope = g * per_angle
-        return g * turn + zero, (
-            turn,
-            -g * turn * v * v / length,
-            slope,
-            1.0 + 0.0 * slope,
-            slope,
-            slope * (behind - w),
-        )
+        slopes = (turn, -g * turn * v * v / length, slope, 1.0 + 0.0 * slope, slope, slope * (behind - w))
+        return g * turn + zero, slopes
 
 
 def _corrected(

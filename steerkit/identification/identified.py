@@ -163,12 +163,8 @@ class Identified:
                 "held_out_rms": round(held_out.rms, 6),
             }
         provenance |= {"command": command} if command else {}
-        return vehicle_text(self.vehicle, steering=self.steering, estimates=self.intervals, provenance=provenance)
-
-    @property
-    def steering(self) -> dict[str, float]:
-        """Delay and lag [s] and offset [rad] of the steering."""
-        return {name: self.theta[name] for name in ("delay", "lag", "offset")}
+        steering = {name: self.theta[name] for name in ("delay", "lag", "offset")}
+        return vehicle_text(self.vehicle, steering=steering, estimates=self.intervals, provenance=provenance)
 
     @property
     def intervals(self) -> dict[str, dict[str, Any]]:

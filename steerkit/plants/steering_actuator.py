@@ -102,17 +102,12 @@ def steering_of(file: str | FilePath, *, dt: float = 0.01, **others: Any) -> Ste
 def steering_in(text: str, where: str, *, dt: float = 0.01, **others: Any) -> SteeringActuator:
     """The same from the text of a vehicle file; `where` is what errors call it."""
     table = table_of(text, "steering", where)
-    numbers = {key: table.get(key) for key in ("delay", "lag", "offset")}
-    for key, value in numbers.items():
-        require(isinstance(value, (int, float)), where, f"[steering] {key}, expected a number")
-    return sampled_steering(**numbers, dt=dt, **others)  # type: ignore[arg-type]
-
-
-def sampled_steering(*, delay: float, lag: float, offset: float, dt: float = 0.01, **others: Any) -> SteeringActuator:
-    """The actuator of sample time dt [s] for delay and lag [s] of continuous time: their sum is kept, less dt."""
-    rest = delay - dt
+    for key in ("delay", "lag", "offset"):
+        require(isinstance(table.get(key), (int, float)), where, f"[steering] {key}, expected a number")
+    rest = table["delay"] - dt
     whole = round(max(0, math.floor(rest / dt + 1e-6)) * dt, 6)
-    return SteeringActuator(delay=whole, lag=max(0.0, lag + rest - whole), offset=offset, dt=dt, **others)
+    lag = max(0.0, table["lag"] + rest - whole)
+    return SteeringActuator(delay=whole, lag=lag, offset=table["offset"], dt=dt, **others)
 
 
 _STREAM = 12  # of `seed_state`: the link's delays

@@ -12,7 +12,7 @@ from steerkit import vehicle
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.logs import Drive
 from steerkit.logs.resimulate import resimulate, way
-from steerkit.plants.steering_actuator import SteeringActuator, sampled_steering
+from steerkit.plants.steering_actuator import SteeringActuator
 
 CAR = vehicle("vw-passat")
 QUICK = SteeringActuator(lag=0.05)
@@ -82,13 +82,6 @@ def test_limits_are_counted() -> None:
     exact = float(np.mean(np.abs(24.0 * 0.15 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))) > 3.0))
     assert figures["driven"]["max_a_y"] == pytest.approx(3.6, abs=0.01)
     assert figures["driven"]["seconds_beyond_a_y"] == pytest.approx(exact * 40.0, rel=0.1)
-
-
-def test_steering_of_continuous_time_is_sampled() -> None:
-    found = sampled_steering(delay=0.155, lag=0.05, offset=0.0)
-    assert found.delay == pytest.approx(0.14)
-    assert found.delay + found.lag == pytest.approx(0.155 + 0.05 - SteeringActuator.dt)
-    assert sampled_steering(delay=-0.1, lag=0.05, offset=0.0).lag == 0.0
 
 
 def test_a_drive_without_a_way_and_unknown_controllers_are_refused() -> None:

@@ -84,7 +84,14 @@ def test_teaching_errors(kind: Any, field: str, value: Any, message: str) -> Non
 
 @pytest.mark.parametrize(
     ("delay", "lag", "samples", "rest"),
-    [(0.037, 0.08, 2, 0.087), (0.06, 0.1, 5, 0.1), (0.0, 0.1, 0, 0.09), (0.004, 0.1, 0, 0.094), (0.0, 0.005, 0, 0.0)],
+    [
+        (0.037, 0.08, 2, 0.087),
+        (0.06, 0.1, 5, 0.1),
+        (0.0, 0.1, 0, 0.09),
+        (0.004, 0.1, 0, 0.094),
+        (0.0, 0.005, 0, 0.0),
+        (-0.1, 0.05, 0, 0.0),
+    ],
 )
 def test_a_files_delay_and_lag_keep_their_sum_less_a_sample(
     delay: float, lag: float, samples: int, rest: float, tmp_path: Path
