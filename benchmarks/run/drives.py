@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.entries import controller
 from benchmarks.peers.agents import SETTINGS
+from benchmarks.run.policy_drives import PolicyDrives, policy_drives
 from benchmarks.run.results import TRAJECTORY
 from benchmarks.scenarios import open_parameters, shape, suite_loop
 from steerkit.compiled import Compiled, TraceError, compile
@@ -27,7 +28,6 @@ from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.scenario import Scenario
 from steerkit.scenario.catalogue import make_element
-from steerkit.scenario.drive import PolicyDrives, policy_drives
 from steerkit.task import DT, TRIP
 from steerkit.vehicles import Vehicle
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.run.policy_drives import PolicyDrives, policy_drives
 from steerkit.controllers.nfq_policy import Kind, NfqPolicy
 from steerkit.diagram.simulation import Log
 from steerkit.learning.experiment import Experiment, LearningRun
@@ -121,7 +122,7 @@ def _first(flags: np.ndarray) -> int:
 
 
 @lru_cache(maxsize=8)
-def _drives(scenario: Scenario, setting: Setting, kind: Kind) -> evaluate.PolicyDrives | None:
+def _drives(scenario: Scenario, setting: Setting, kind: Kind) -> PolicyDrives | None:
     """The compiled drives that all nets of a kind share; None: interpreted."""
     loop = evaluate.drive_loop(scenario, kind.policy, doe=setting.element(scenario.nominal))
-    return evaluate.policy_drives(loop, SIGNALS)
+    return policy_drives(loop, SIGNALS)

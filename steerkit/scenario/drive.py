@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, replace
 from typing import Any, Protocol
 
 from rich.markup import escape
 from rich.table import Table
 
-from steerkit._support.errors import require
-from steerkit.compiled import TraceError, compile
-from steerkit.compiled.trace import parameter
-from steerkit.controllers.nfq_policy import NfqPolicy, OpenPolicy, numbers_of
-from steerkit.controllers.supervisor import ExceptionGuard, Supervisor
+from steerkit.controllers.supervisor import Supervisor
 from steerkit.controllers.target_shift import TargetShift
-from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, Sample, simulate
 from steerkit.metrics import of_log
 from steerkit.paths.path import Path
-from steerkit.scenario.assembly import bare, controller_of, steering_loop, with_controller
+from steerkit.scenario.assembly import bare, steering_loop
 from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.scenario import Scenario
 from steerkit.task import TRIP
@@ -173,53 +168,3 @@ def comparison(title: str, logs: Mapping[str, Log]) -> Table:
         row["percent_within_5cm"] = 100.0 * row["share_within_5cm"]
         table.add_row(name, "yes" if row["held"] else "no", *(text.format(**row) for text in _COLUMNS.values()))
     return table
-
-
-# ---- compiled, for learned policies ----------------------------------------------------------------------------------
-
-
-class PolicyDrives:
-    """Drives of learned policies of one kind in one kind of loop, which is compiled once for all of them.
-
-    loop: one of the drives, with an `NfqPolicy` as its controller. record: signals to keep, one sample of the
-    controller each. parameters: block fields that differ between the drives besides the policy, such as
-    "car.vehicle.m". The numbers are those of `simulate`, to the last bit. Raises TraceError for a loop with a block
-    that cannot be compiled.
-    """
-
-    def __init__(self, loop: Loop, record: Sequence[str], parameters: Sequence[str] = ()):
-        self._policy = _policy_of(loop)
-        self._open = tuple(parameters)
-        nets = m.Routine(name="nets", size=len(self._policy.actions), call=lambda *s: self._policy.values(*s))
-        stands = OpenPolicy.of(self._policy, nets)
-        guarded = isinstance(loop.blocks["controller"], ExceptionGuard)
-        self._numbers = "controller.block.numbers" if guarded else "controller.numbers"
-        self._compiled = compile(
-            with_controller(loop, stands),
-            backend="python",
-            record=record,
-            every=round(self._policy.dt / loop.dt),
-            parameters=[*self._open, self._numbers],
-        )
-
-    def run(self, loop: Loop, seconds: float) -> Log:
-        """The drive of the policy in `loop`, a loop like the one this was made for, for so many seconds."""
-        self._policy = _policy_of(loop)
-        values = {name: parameter(loop, name) for name in self._open}
-        values[self._numbers] = numbers_of(self._policy)
-        return self._compiled.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
-
-
-def policy_drives(loop: Loop, record: Sequence[str], parameters: Sequence[str] = ()) -> PolicyDrives | None:
-    """`PolicyDrives`, or None where a block of the loop cannot be compiled, and drives are interpreted."""
-    try:
-        return PolicyDrives(loop, record, parameters)
-    except TraceError:
-        return None
-
-
-def _policy_of(loop: Loop) -> NfqPolicy:
-    policy = controller_of(loop)
-    kind = type(policy).__name__
-    require(isinstance(policy, NfqPolicy), "PolicyDrives", f"the controller is a {kind}, expected an NfqPolicy")
-    return policy  # type: ignore[return-value]
