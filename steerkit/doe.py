@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import require
+from steerkit._support.errors import number
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.task import STOP
@@ -35,13 +35,8 @@ class OutputElement(Block):
     delta_sw = Out("rad")
     state = Out("rad", direct=())
 
-    limit: m.Scalar = STOP
+    limit: m.Scalar = number(STOP, "rad", above=0.0, high=20.0)
     """Largest |delta_sw| [rad]; like `tau`, one number or an `(N,)` array for a batch."""
-
-    def __post_init__(self) -> None:
-        require(self.dt > 0.0, type(self).__name__, f"dt = {self.dt} s, expected > 0")
-        within = (self.limit > 0.0) & (self.limit < 20.0)
-        require(within, type(self).__name__, f"limit = {self.limit} rad, expected 0 to 20 rad")
 
     def init(self, batch: tuple[int, ...] = ()) -> HeldAngle:
         return HeldAngle(m.filled(0.0, batch))
@@ -85,12 +80,8 @@ class LowPass(OutputElement):
     `OutputElement`. Raises ValueError for dt, limit or tau out of range. Source: Riedmiller et al. 2007 (low-pass DOE).
     """
 
-    tau: m.Scalar = 0.3
+    tau: m.Scalar = number(0.3, "s", above=0.0)
     """Time constant [s]."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require(self.tau > 0.0, "LowPass", f"tau = {self.tau} s, expected > 0")
 
     def output(self, t: Any, x: HeldAngle, u: Any) -> Any:
         angle = x.delta_sw + self._gain * (u.action - x.delta_sw)

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from typing import Any
+
 from rich.console import Console
+from rich.progress import track
 
 console = Console() if Console().is_terminal else Console(width=110)
 """With `stderr` set, all that is for people goes there."""
+
+
+def shown(steps: Any, what: str) -> Any:
+    """The steps, with a bar of that name on the terminal, if there is one and a name."""
+    return track(steps, description=what, transient=True) if what and sys.stderr.isatty() else steps

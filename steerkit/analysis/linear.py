@@ -8,7 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import control
 import numpy as np
+from scipy.optimize import brentq
 
 from steerkit._support.errors import require
 from steerkit.analysis.period import Array, Period, signal_name
@@ -55,8 +57,6 @@ def linearise(
     straight, at a constant speed: in a bend the pose turns with the car); `invariant=False` gives the first period's.
     ValueError for a state within a period, a vector signal, or a cut that is no input; KeyError for an unknown signal.
     """
-    import control
-
     scalars = [name for name in loop.units if getattr(loop.blocks[name.split(".")[0]], name.split(".")[1]).size is None]
     added = scalars if inputs is None else [signal_name(loop, s) for s in inputs]
     shown = scalars if outputs is None else [signal_name(loop, s) for s in outputs]
@@ -100,8 +100,6 @@ def break_at(loop: Loop, signal: Signal, *, at: LoopState | None = None) -> Any:
     as `linearise` does, and ValueError when the signal does not come round: no loop runs through it, or a limiter
     holds it.
     """
-    import control
-
     around = linearise(loop, at, inputs=[signal], outputs=[signal], cut=[signal])
     if not around.nstates and not np.any(around.D):
         name = signal_name(loop, signal)
@@ -129,17 +127,14 @@ class Margins(NamedTuple):
     """Where the phase is -180 degrees, for `gain` [rad/s]; NaN if nowhere."""
 
 
-def margins(system: Any, *, points: int = 4000) -> Margins:
+def margins(system: Any) -> Margins:
     """Gain, phase and delay margins of an open loop L, a single-input, single-output `control` system.
 
     Over 0 < w < pi/dt (or, continuous, 1e-4 to 1e4 rad/s): phase margin = |pi + arg L| where |L| = 1; delay margin =
     ((pi + arg L) mod 2 pi)/w there; gain margins = 1/|L| where L is real and negative. Crossings are found on a
-    logarithmic grid of `points` and refined. Raises UnstableError for an unstable closed loop, which has no margins,
+    logarithmic grid and refined. Raises UnstableError for an unstable closed loop, which has no margins,
     ValueError for a system with several inputs or outputs. Source: Astrom, Murray 2021, section 10.3.
     """
-    import control
-    from scipy.optimize import brentq
-
     if system.ninputs != 1 or system.noutputs != 1:
         raise ValueError(
             f"margins: a system with {system.ninputs} inputs and {system.noutputs} outputs, expected 1 and 1; break "
@@ -151,7 +146,7 @@ def margins(system: Any, *, points: int = 4000) -> Margins:
     if (beyond > 1e-7).any():
         raise UnstableError(f"margins: the closed loop is unstable (poles {closed[beyond > 1e-7]}), so it has none")
     top = math.pi / system.dt if discrete else 1e4
-    grid = np.geomspace(1e-4 * (top if discrete else 1.0), top * (1.0 - 1e-9), points)
+    grid = np.geomspace(1e-4 * (top if discrete else 1.0), top * (1.0 - 1e-9), 4000)
 
     def answer(w: Any) -> Any:
         return system(np.exp(1j * w * system.dt) if discrete else 1j * w)
@@ -190,8 +185,6 @@ class Point:
 
 def over(make: Callable[[float], Loop], values: Sequence[float], signal: str) -> list[Point]:
     """Margins and poles of `make(value)`, broken at a signal, for each value: a speed, a delay, a stiffness."""
-    import control
-
     points = []
     for value in values:
         opened = break_at(make(value), signal)
@@ -205,8 +198,6 @@ def over(make: Callable[[float], Loop], values: Sequence[float], signal: str) ->
 
 def step_response(system: Any, seconds: float) -> tuple[Array, Array]:
     """t (T,) [s] and the answer of a single-input, single-output system to a step of 1, (T,)."""
-    import control
-
     t = np.arange(max(2, round(seconds / system.dt) + 1)) * system.dt
     return t, np.asarray(control.step_response(system, t).outputs).ravel()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, Port, State
+from steerkit.diagram.block import Block, In, Out, State, set_ports, state_like
 
 if TYPE_CHECKING:
     from steerkit.diagram.loop import Loop, LoopState
@@ -38,7 +37,7 @@ class Tap(Block):
     def __post_init__(self) -> None:
         u, y = In(self.unit, direct=not self.cut), Out(self.unit, direct=() if self.cut else None)
         u.name, y.name = "u", "y"
-        copy_ports(self, (u,), (y,))
+        set_ports(self, (u,), (y,))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),)
@@ -73,7 +72,7 @@ class Period:
         """From tick k on, tap j taking the values taps[j] in turn: the states after, and all samples of each output."""
         numbers, period = iter(x), self._loop.period
         blocks = len(self._like) - len(taps)
-        states = [_made(like, [next(numbers) for _ in like]) for like in self._like[:blocks]] + [()] * len(taps)
+        states = [state_like(like, [next(numbers) for _ in like]) for like in self._like[:blocks]] + [()] * len(taps)
         y, read = list(self._held), [list[Any]() for _ in self._read]
         for phase in range(period):
             for j, values in enumerate(taps):
@@ -97,22 +96,6 @@ class Period:
         return slope[:n, :n], slope[:n, n:], slope[n:, :n], slope[n:, n:]
 
 
-def copy_ports(block: Block, inputs: tuple[In, ...], outputs: tuple[Out, ...]) -> None:
-    """Gives one block object ports of its own."""
-    kinds = {
-        "inputs": inputs,
-        "outputs": outputs,
-        "U": namedtuple("U", [p.name for p in inputs]),
-        "D": namedtuple("D", [p.name for p in inputs if p.direct]),
-        "Y": namedtuple("Y", [p.name for p in outputs]),
-    }
-    for name, value in kinds.items():
-        object.__setattr__(block, name, value)
-    ports: tuple[In | Out, ...] = (*inputs, *outputs)
-    for port in ports:
-        object.__setattr__(block, port.name, Port(block, port))
-
-
 def signal_name(loop: Loop, signal: Signal) -> str:
     """The name of a scalar signal; raises KeyError for an unknown one, ValueError for a vector."""
     name = signal if isinstance(signal, str) else loop.port_name(signal)
@@ -130,7 +113,3 @@ def _tapped(loop: Loop, taps: Mapping[str, bool]) -> tuple[Loop, list[str]]:
         tap = Tap(unit=loop.units[signal], cut=cut, dt=loop.blocks[owner].dt)
         parts[signal] = (f"{owner}_{port}_tap", tap)
     return loop.with_inserted(parts), [name for name, _ in parts.values()]
-
-
-def _made(like: State, values: list[Any]) -> State:
-    return type(like)(*values) if hasattr(like, "_fields") else tuple(values)

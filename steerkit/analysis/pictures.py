@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @styled
-def plot_bode(loops: Mapping[str, Any], *, title: str = "", points: int = 1000) -> Figure:
+def plot_bode(loops: Mapping[str, Any], *, title: str = "") -> Figure:
     """Gain and phase of open loops over frequency, by name; dots where |L| = 1, margins in the legend.
 
     loops: single-input, single-output systems, as `break_at` gives them. Raises ValueError as `margins` does, but for
@@ -26,7 +26,7 @@ def plot_bode(loops: Mapping[str, Any], *, title: str = "", points: int = 1000) 
     figure, (gain, phase) = new_figure(2, title=title, height=5.4)
     for colour, (name, system) in zip(PALETTE, loops.items()):
         top = math.pi / system.dt if system.isdtime(strict=True) else 1e3
-        w = np.geomspace(3e-3 * top, top * (1.0 - 1e-6), points)
+        w = np.geomspace(3e-3 * top, top * (1.0 - 1e-6), 1000)
         answer = np.asarray(system(np.exp(1j * w * system.dt) if system.isdtime(strict=True) else 1j * w))
         angle = np.unwrap(np.angle(answer))
         angle -= 2.0 * math.pi * math.ceil((angle[0] - 0.1) / (2.0 * math.pi))  # starts in (-360, 0] degrees
@@ -61,17 +61,11 @@ def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]",
     for colour, (name, varied) in zip(PALETTE, points.items()):
         x = [point.value for point in varied]
         margins_of = [point.margins for point in varied]
-        phase.plot(
-            x,
-            [math.nan if t is None else degrees_of(t.phase) for t in margins_of],
-            "o-",
-            ms=3,
-            color=colour,
-            label=name,
-        )
-        delay.plot(x, [math.nan if t is None else t.delay for t in margins_of], "o-", ms=3, color=colour)
+        phases = [math.nan if t is None else degrees_of(t.phase) for t in margins_of]
+        delays = [math.nan if t is None else t.delay for t in margins_of]
         largest = [abs(point.poles[0]) if len(point.poles) else 0.0 for point in varied]
-        pole.plot(x, largest, "o-", ms=3, color=colour)
+        for panel, values in ((phase, phases), (delay, delays), (pole, largest)):
+            panel.plot(x, values, "o-", ms=3, color=colour, label=name)
     pole.axhline(1.0, color=COLOURS["limit"], lw=0.9)
     phase.set(ylabel="phase margin [deg]", ylim=(0.0, 90.0))
     delay.set(ylabel="delay margin [s]", ylim=(0.0, None))

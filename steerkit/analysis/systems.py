@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import control
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit.analysis.period import Array, Period, copy_ports, signal_name
+from steerkit.analysis.period import Array, Period, signal_name
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.block import Block, In, Out, State, set_ports
 
 if TYPE_CHECKING:
     from steerkit.diagram.loop import Loop, LoopState
@@ -64,7 +65,7 @@ class FromControl(Block):
         ports: list[In | Out] = [*ins, *outs]
         for port, name in zip(ports, names):
             port.name = name
-        copy_ports(self, tuple(ins), tuple(outs))
+        set_ports(self, tuple(ins), tuple(outs))
 
     @cached_property
     def _discrete(self) -> bool:
@@ -123,8 +124,6 @@ def to_control(
     parameter `x0` is the state to start from: `control.input_output_response(s, t, u, s.params["x0"])`. Its time counts
     from that state. Raises ValueError for a loop with a block that is not pure.
     """
-    import control
-
     impure = [n for n, b in loop.blocks.items() if not b.pure]
     require(not impure, "to_control", f"{', '.join(impure)} is not pure: python-control would call it many times")
     state = loop.init() if at is None else at

@@ -9,9 +9,10 @@ in C, which calls its Python function, and in Python. `gradient` differentiates 
 from __future__ import annotations
 
 import math
-import time
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -54,48 +55,40 @@ def compile(
     Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError for backend "c" without
     a compiler; KeyError for an unknown signal; ValueError for a bad argument.
     """
-    return Compiled(loop, backend=backend, record=record, every=every, parameters=parameters, collapse=collapse)
+    if every < 1:
+        raise ValueError(f"compile: every = {every}, expected a whole number >= 1")
+    if backend not in ("auto", "python", "c"):
+        raise ValueError(f"compile: backend {backend!r}; valid: auto, python, c")
+    if backend != "python" and not compiler():
+        if backend == "c":
+            raise NoCompilerError("compile: backend 'c' needs a C compiler: install gcc or set CC; or 'python'")
+        warnings.warn("no C compiler found: the loop runs in generated Python; install gcc or set CC", stacklevel=2)
+        backend = "python"
+    traced = trace(loop, parameters=parameters, routines=True)
+    names = list(loop.units) if record is None else [r if isinstance(r, str) else loop.port_name(r) for r in record]
+    for name in names:
+        loop.locate(name)
+    return Compiled(
+        loop, "python" if backend == "python" else "c", tuple(names), every, tuple(parameters), collapse, traced
+    )
 
 
+@dataclass(frozen=True)
 class Compiled:
-    """A compiled loop; made by `compile`, whose arguments it has.
+    """A compiled loop; made by `compile`, whose arguments it has. `backend` is the one in use."""
 
-    `backend` is the one in use. `trace_seconds` is what tracing cost, `first_call_seconds` (None before) what the
-    first `run` cost with generating and compiling in it.
-    """
+    loop: Loop
+    backend: Literal["python", "c"]
+    record: tuple[str, ...]
+    every: int
+    parameters: tuple[str, ...]
+    collapse: bool
+    trace: Trace
+    _programs: dict[tuple[float, ...] | None, Any] = field(default_factory=dict)
 
-    def __init__(
-        self,
-        loop: Loop,
-        *,
-        backend: Backend = "auto",
-        record: Sequence[Signal] | None = None,
-        every: int = 1,
-        parameters: Sequence[str] = (),
-        collapse: bool = False,
-    ):
-        if every < 1:
-            raise ValueError(f"compile: every = {every}, expected a whole number >= 1")
-        if backend not in ("auto", "python", "c"):
-            raise ValueError(f"compile: backend {backend!r}; valid: auto, python, c")
-        if backend != "python" and not compiler():
-            if backend == "c":
-                raise NoCompilerError("compile: backend 'c' needs a C compiler: install gcc or set CC; or 'python'")
-            warnings.warn("no C compiler found: the loop runs in generated Python; install gcc or set CC", stacklevel=3)
-        self.backend: Backend = "python" if backend == "python" or not compiler() else "c"
-        start = time.perf_counter()
-        self.loop, self.every = loop, every
-        self.trace: Trace = trace(loop, parameters=parameters, routines=True)
-        self.parameters = tuple(parameters)
-        names = list(loop.units) if record is None else [r if isinstance(r, str) else loop.port_name(r) for r in record]
-        for name in names:
-            loop.locate(name)
-        self.record = tuple(names)
-        self._slots = [slot for name in names for slot in self.trace.layout.slots_of(name)]
-        self._collapse = collapse
-        self._programs: dict[tuple[float, ...] | None, Any] = {}
-        self.trace_seconds = time.perf_counter() - start
-        self.first_call_seconds: float | None = None
+    @cached_property
+    def _slots(self) -> list[int]:
+        return [slot for name in self.record for slot in self.trace.layout.slots_of(name)]
 
     def run(
         self,
@@ -115,7 +108,6 @@ class Compiled:
         if not (math.isfinite(duration) and duration > 0.0):
             raise ValueError(f"run: duration = {duration} s, expected a finite number > 0")
         require_batch("run", batch)
-        begin = time.perf_counter()
         values = self._values(parameters or {})
         cars = _cars(values, batch)
         if state is None:
@@ -131,8 +123,6 @@ class Compiled:
             fixed = [np.broadcast_to(np.asarray(v, dtype=float), (cars,)) for v in values.values()]
             rows, end = self._many(state.k, stop, np.array(wide).reshape(-1, cars), np.array(fixed).reshape(-1, cars))
         log = self._log(state.k, stop, rows, end)
-        if self.first_call_seconds is None:
-            self.first_call_seconds = self.trace_seconds + time.perf_counter() - begin
         if not allow_nonfinite:
             check_finite(log)
         return log
@@ -197,7 +187,7 @@ class Compiled:
         return self._programs[key]
 
     def _held_values(self, slots: Any) -> tuple[float, ...] | None:
-        if not self._collapse:
+        if not self.collapse:
             return None
         values = [np.unique(slots[slot]) for slot in self.trace.held]
         if any(len(v) > 1 or not math.isfinite(v[0]) for v in values):

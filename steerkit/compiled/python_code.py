@@ -43,11 +43,7 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
     persistent = trace.persistent
     state = "".join(f"s{slot}, " for slot in persistent)
     lines = ["def run(k, stop, slots, parameters, rows):"]
-    used = [name for name in sorted(FUNCTIONS - {"floor"}) if any(name in _ops(t.graph) for t, _ in trace.kinds)]
-    lines += [f"    {name}_ = {name}" for name in used]
-    lines += [f"    s{slot} = slots[{slot}]" for slot in persistent]
-    lines += [f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))]
-    lines += ["    append = rows.append", "    try:", "        for k in range(k, stop):"]
+    lines += [*_locals(trace), "    append = rows.append", "    try:", "        for k in range(k, stop):"]
     for number, (tick, _) in enumerate(trace.kinds):
         pad = " " * 12
         if len(trace.kinds) > 1:
@@ -74,10 +70,7 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
 
 
 def _finish(trace: Trace) -> list[str]:
-    lines = ["def finish(k, slots, parameters):"]
-    lines += [f"    {name}_ = {name}" for name in sorted(FUNCTIONS - {"floor"})]
-    lines += [f"    s{slot} = slots[{slot}]" for slot in trace.persistent]
-    lines += [f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))]
+    lines = ["def finish(k, slots, parameters):", *_locals(trace)]
     for number, (tick, _) in enumerate(trace.kinds):
         code, names = _statements(tick.graph, tick.roots, trace)
         pad = " " * 4
@@ -88,15 +81,20 @@ def _finish(trace: Trace) -> list[str]:
     return lines
 
 
+def _locals(trace: Trace) -> list[str]:
+    """Names that are found quickly."""
+    return [
+        *[f"    {name}_ = {name}" for name in sorted(FUNCTIONS - {"floor"})],
+        *[f"    s{slot} = slots[{slot}]" for slot in trace.persistent],
+        *[f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))],
+    ]
+
+
 def _condition(trace: Trace, number: int) -> str:
     """What holds in the phases of a kind of tick, beginning with if, elif or else: one of several kinds."""
     if number == len(trace.kinds) - 1:
         return "else"
     return f"{'elif' if number else 'if'} k % {len(trace.ticks)} in {tuple(trace.kinds[number][1])}"
-
-
-def _ops(graph: Graph) -> set[str]:
-    return {node[0] for node in graph.nodes}
 
 
 def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[str], list[str]]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from steerkit.compiled.graph import Graph, Symbol, collapsed
+from steerkit.diagram.block import state_like
 from steerkit.diagram.diagnostics import place_of
 from steerkit.diagram.loop import Loop, LoopState
 from steerkit.diagram.maths import Routine, Table
@@ -57,13 +58,12 @@ class Layout:
     def unpack(self, values: Sequence[Any]) -> tuple[list[Any], list[Any]]:
         """States and outputs, shaped as in the loop, from numbers in slot order."""
         numbers = iter(values)
-        x = [_like(state, [next(numbers) for _ in state]) for state in self.template.x]
+        x = [state_like(state, [next(numbers) for _ in state]) for state in self.template.x]
         y = []
         for block, old in zip(self.loop.blocks.values(), self.template.y):
             sizes = [getattr(block, out.name).size for out in block.outputs]
-            y.append(
-                _like(old, [next(numbers) if n is None else tuple(next(numbers) for _ in range(n)) for n in sizes])
-            )
+            entries = [next(numbers) if n is None else tuple([next(numbers) for _ in range(n)]) for n in sizes]
+            y.append(state_like(old, entries))
         return x, y
 
     def slots_of(self, signal: str) -> list[int]:
@@ -280,7 +280,3 @@ def _replaced(owner: Any, fields: list[str], value: Any, name: str) -> Any:
         copy = object.__new__(type(owner))
         vars(copy).update({n: v for n, v in vars(owner).items() if n not in cached} | {field: new})
         return copy
-
-
-def _like(template: Any, values: list[Any]) -> Any:
-    return type(template)(*values) if hasattr(template, "_fields") else tuple(values)

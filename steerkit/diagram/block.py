@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 from collections import namedtuple
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, overload
 
 import numpy as np
@@ -20,7 +21,27 @@ State = tuple[Any, ...]
 """A block's state: a flat tuple (often a NamedTuple) of scalars: floats, `(N,)` arrays or symbols."""
 
 
-class In:
+class _Spec:
+    """What input and output ports have in common."""
+
+    def __init__(self, unit: str, *, direct: Any, size: int | str | None = None):
+        if unit not in UNITS:
+            valid = ", ".join(sorted(UNITS))
+            raise ValueError(f"port: unit {unit!r} is not known; SI and radians only, one of {valid}")
+        self.unit, self.direct, self.size, self.name = unit, direct, size, ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, block: Port | None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, block: Block, owner: type) -> Port: ...
+    def __get__(self, block: Block | Port | None, owner: type) -> Self | Port:
+        return Port(block, self) if isinstance(block, Block) else self  # type: ignore[arg-type]
+
+
+class In(_Spec):
     """An input port: a class attribute of a block.
 
     unit: one of `steerkit.diagram.units.UNITS`. direct: does `output` see it? `update` always does. size: None for a
@@ -28,22 +49,13 @@ class In:
     """
 
     kind = "input"
+    direct: bool
 
     def __init__(self, unit: str, *, direct: bool = True, size: int | str | None = None):
-        self.unit, self.direct, self.size, self.name = _known_unit(unit), direct, size, ""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    @overload
-    def __get__(self, block: Port | None, owner: type) -> Self: ...
-    @overload
-    def __get__(self, block: Block, owner: type) -> Port: ...
-    def __get__(self, block: Block | Port | None, owner: type) -> Self | Port:
-        return Port(block, self) if isinstance(block, Block) else self
+        super().__init__(unit, direct=direct, size=size)
 
 
-class Out:
+class Out(_Spec):
     """An output port: a class attribute of a block.
 
     unit: as for `In`. direct: the inputs that it depends on in the same sample, as a tuple of the class's `In`
@@ -51,19 +63,10 @@ class Out:
     """
 
     kind = "output"
+    direct: tuple[In, ...] | None
 
     def __init__(self, unit: str, *, direct: tuple[In, ...] | None = None, size: int | str | None = None):
-        self.unit, self.direct, self.size, self.name = _known_unit(unit), direct, size, ""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    @overload
-    def __get__(self, block: Port | None, owner: type) -> Self: ...
-    @overload
-    def __get__(self, block: Block, owner: type) -> Port: ...
-    def __get__(self, block: Block | Port | None, owner: type) -> Self | Port:
-        return Port(block, self) if isinstance(block, Block) else self
+        super().__init__(unit, direct=direct, size=size)
 
 
 class Port(NamedTuple):
@@ -145,9 +148,8 @@ class Block:
         ports = {name: port for base in reversed(cls.__mro__) for name, port in vars(base).items()}
         cls.inputs = tuple(p for p in ports.values() if isinstance(p, In))
         cls.outputs = tuple(p for p in ports.values() if isinstance(p, Out))
-        cls.U = namedtuple("U", [p.name for p in cls.inputs])  # type: ignore[misc]
-        cls.D = namedtuple("D", [p.name for p in cls.inputs if p.direct])  # type: ignore[misc]
-        cls.Y = namedtuple("Y", [p.name for p in cls.outputs])  # type: ignore[misc]
+        for name, kind in _tuples(cls.inputs, cls.outputs).items():
+            setattr(cls, name, kind)
         for port in cls.outputs:
             _check_direct(cls, port)
 
@@ -252,34 +254,40 @@ def take_ports(wrapper: Block, block: Block) -> None:
 
     Inputs that the wrapper's class declares come after those of the block.
     """
-    for name in ("outputs", "Y", "dt", "pure"):
+    for name in ("dt", "pure"):
         object.__setattr__(wrapper, name, getattr(block, name))
-    _set_inputs(wrapper, (*block.inputs, *type(wrapper).inputs))
-    ports: tuple[In | Out, ...] = (*block.inputs, *block.outputs)
-    for spec in ports:
-        object.__setattr__(wrapper, spec.name, Port(wrapper, spec))
+    for spec in (*block.inputs, *block.outputs):
         if isinstance(spec.size, str):
             object.__setattr__(wrapper, spec.size, getattr(block, spec.size))
+    set_ports(wrapper, (*block.inputs, *type(wrapper).inputs), block.outputs)
 
 
 def without_port(block: Block, name: str) -> None:
     """Take an input from one block object, whose parameters leave nothing for it to do."""
-    _set_inputs(block, tuple(port for port in block.inputs if port.name != name))
+    set_ports(block, tuple(port for port in block.inputs if port.name != name), block.outputs)
 
 
-def _set_inputs(block: Block, inputs: tuple[In, ...]) -> None:
-    object.__setattr__(block, "inputs", inputs)
-    object.__setattr__(block, "U", namedtuple("U", [p.name for p in inputs]))
-    object.__setattr__(block, "D", namedtuple("D", [p.name for p in inputs if p.direct]))
+def set_ports(block: Block, inputs: tuple[In, ...], outputs: tuple[Out, ...]) -> None:
+    """Give one block object ports of its own."""
+    values: dict[str, Any] = {"inputs": inputs, "outputs": outputs, **_tuples(inputs, outputs)}
+    ports: tuple[In | Out, ...] = (*inputs, *outputs)
+    values |= {port.name: Port(block, port) for port in ports}
+    for name, value in values.items():
+        object.__setattr__(block, name, value)
+
+
+def _tuples(inputs: Sequence[In], outputs: Sequence[Out]) -> dict[str, Any]:
+    """The named tuples of all inputs, of the direct ones and of the outputs."""
+    kinds: dict[str, Sequence[In | Out]] = {"U": inputs, "D": [p for p in inputs if p.direct], "Y": outputs}
+    return {name: namedtuple(name, [p.name for p in ports]) for name, ports in kinds.items()}
 
 
 def entries_of(block: Block) -> tuple[Callable[[Sequence[Any]], State], int]:
     """What makes a block's state from its entries, and how many these are: for those that keep others' among theirs."""
     like = block.init()
-    return getattr(type(like), "_make", tuple), len(like)
+    return functools.partial(state_like, like), len(like)
 
 
-def _known_unit(unit: str) -> str:
-    if unit not in UNITS:
-        raise ValueError(f"port: unit {unit!r} is not known; SI and radians only, one of {', '.join(sorted(UNITS))}")
-    return unit
+def state_like(like: Any, values: Iterable[Any]) -> Any:
+    """A state (or outputs) of the kind of another one, of these entries."""
+    return type(like)(*values) if hasattr(like, "_fields") else tuple(values)

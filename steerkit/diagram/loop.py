@@ -14,7 +14,7 @@ import numpy as np
 from steerkit._support.errors import WiringError
 from steerkit._support.files import read_npz, write_npz
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, Port, State
+from steerkit.diagram.block import Block, Port, State, state_like
 from steerkit.diagram.diagnostics import check_outputs, check_state, explained
 from steerkit.diagram.wiring import Call, Place, Wire, Wiring, base_step, nearest
 
@@ -254,7 +254,7 @@ class Loop:
             template, values = block.init(), stored[f"x.{name}"]
             if len(values) != len(template):
                 raise ValueError(f"load_state: {name} has {len(template)} states, {file} has {len(values)}")
-            x.append(_like(template, values))
+            x.append(state_like(template, _unpacked(values, vector=True)))
             ports = [(stored[f"y.{name}.{out.name}"], out.size is not None) for out in block.outputs]
             y.append(block.Y(*[_unpacked(value, vector=vector) for value, vector in ports]))
         return LoopState(int(stored["k"]), tuple(x), tuple(y))
@@ -340,8 +340,3 @@ def _unpacked(value: np.ndarray, *, vector: bool) -> Any:
     if vector:
         return tuple(_unpacked(v, vector=False) for v in value)
     return float(value) if value.ndim == 0 else np.array(value)
-
-
-def _like(template: State, values: Any) -> State:
-    scalars = [_unpacked(v, vector=False) for v in values]
-    return type(template)(*scalars) if hasattr(template, "_fields") else tuple(scalars)

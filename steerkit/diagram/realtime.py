@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import math
 import os
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -48,27 +47,12 @@ class Timing:
     """Latest start of a step [s]."""
     histogram: np.ndarray = field(default_factory=lambda: np.zeros(_BINS, dtype=np.int64), repr=False)
     """Steps by how late they started, in bins of `BIN`; the last one holds all that were later."""
-    recent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=1000), repr=False)
 
     def started(self, late: float) -> None:
         """Count a step that started `late` [s] after it was due."""
         self.steps += 1
         self.worst = max(self.worst, late)
         self.histogram[min(_BINS - 1, max(0, int(late / BIN)))] += 1
-
-    def ended(self, t: float, taken: float, missed: int) -> None:
-        """Count its end at time t, after `taken` [s], with so many deadlines missed."""
-        self.longest = max(self.longest, taken)
-        if missed:
-            self.misses += missed
-            self.recent.append((t, missed))
-        while self.recent and self.recent[0][0] <= t - 1.0:
-            self.recent.popleft()
-
-    @property
-    def misses_of_last_second(self) -> int:
-        """Deadlines missed within the last second."""
-        return sum(n for _, n in self.recent)
 
     def jitter(self, share: float) -> float:
         """The lateness that `share` of the steps stayed below [s], to `BIN`: 0.99 for p99."""
@@ -159,7 +143,7 @@ def run(
             stop = bool(watch(live)) if watch else False
             end = clock.now()
             missed = max(0, math.floor((end - start) / dt - slot - 1e-9))
-            timing.ended(end, end - began, missed)
+            timing.longest, timing.misses = max(timing.longest, end - began), timing.misses + missed
             if missed and on_miss:
                 stop = bool(on_miss(live)) or stop
             if stop:
@@ -173,31 +157,22 @@ def run(
     return live
 
 
-def prefer(*, priority: int = 50, core: int | None = None, threads: bool = False) -> None:
-    """Ask the system to run this thread before others: SCHED_FIFO with `priority`, on one `core` if given.
+def preferred(*, threads: bool = False) -> str:
+    """Ask the system to run this thread before others (SCHED_FIFO 50); returns what came of it, for the user to read.
 
     threads: those it starts from now on too, and processes; else they begin with the ordinary priority, as a training
-    process must. Raises PermissionError, saying what to do, when it may not.
+    process must. Late steps are likelier where the system does not permit it.
     """
+    policy = os.SCHED_FIFO if threads else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
-        policy = os.SCHED_FIFO if threads else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        os.sched_setscheduler(0, policy, os.sched_param(priority))
-        if core is not None:
-            os.sched_setaffinity(0, {core})
-    except PermissionError as error:
-        raise PermissionError(
-            f"SCHED_FIFO {priority}: not permitted; run as root, or `sudo setcap cap_sys_nice+ep $(readlink -f "
-            "$(which python))`, or set rtprio for this user in /etc/security/limits.conf"
-        ) from error
-
-
-def preferred(*, priority: int = 50, threads: bool = False) -> str:
-    """`prefer` if it may be; returns what came of it, for the user to read: late steps are likelier without."""
-    try:
-        prefer(priority=priority, threads=threads)
-    except PermissionError as error:
-        return f"{error}; going on without: expect late steps when the machine is busy"
-    return f"SCHED_FIFO {priority}: granted"
+        os.sched_setscheduler(0, policy, os.sched_param(50))
+    except PermissionError:
+        return (
+            "SCHED_FIFO 50: not permitted; run as root, or `sudo setcap cap_sys_nice+ep $(readlink -f $(which python))`"
+            ", or set rtprio for this user in /etc/security/limits.conf; going on without: expect late steps when the "
+            "machine is busy"
+        )
+    return "SCHED_FIFO 50: granted"
 
 
 def histogram_text(timing: Timing, width: int = 40) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from steerkit._support.console import shown
 from steerkit._support.errors import require
 from steerkit._support.files import atomic_write, read_npz, write_npz, write_text
 from steerkit.diagram.block import Port
@@ -140,11 +140,11 @@ class Log(Mapping[str, np.ndarray]):
         t, units = arrays.pop("t"), dict(str(row).split("\t") for row in arrays.pop("units"))
         return cls(t, arrays, units)
 
-    def plot(self, *signals: Signal, ax: Any = None) -> Any:
+    def plot(self, *signals: Signal) -> Any:
         """Plot signals over time, one panel a unit; returns the matplotlib figure."""
         from steerkit.plots.log import plot_log
 
-        return plot_log(self, signals, ax=ax)
+        return plot_log(self, signals)
 
     def animate(self, path: Path | None, file: str | FilePath, **options: Any) -> FilePath:
         """Write a film of the run, .gif or .mp4: `steerkit.plots.animation.animate` with its options."""
@@ -242,7 +242,7 @@ def simulate(
     ticks = range(start.k, start.k + max(1, round(duration / loop.dt)))
     k = start.k
     try:
-        for k in shown(ticks, progress):
+        for k in shown(ticks, "simulate" if progress else ""):
             loop.advance(k, x, y)
             if k == start.k:
                 loop.check(start.x, x)
@@ -286,12 +286,3 @@ def _stack(values: list[Any]) -> np.ndarray:
         return np.array(values, dtype=float)
     shape = np.broadcast_shapes(np.shape(values[0]), np.shape(values[-1]))
     return np.array([np.broadcast_to(v, shape) for v in values], dtype=float)
-
-
-def shown(ticks: range, progress: bool) -> Any:
-    """The ticks, with a bar on the terminal if there is one and it is asked for."""
-    if not progress or not sys.stderr.isatty():
-        return ticks
-    from rich.progress import track
-
-    return track(ticks, description="simulate", transient=True)

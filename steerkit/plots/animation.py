@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from steerkit._support.console import shown
 from steerkit._support.errors import require
 from steerkit.diagram.units import degrees_of
 from steerkit.plots.style import COLOURS, style
@@ -52,7 +51,6 @@ def animate(
     steer_ratio: float = 15.6,
     speed: float | None = None,
     fps: float = 12.0,
-    window: float = 18.0,
     car: int = 0,
     progress: bool = False,
 ) -> File:
@@ -61,13 +59,12 @@ def animate(
     log: with car.x, car.y, car.psi, and, if they are there, car.v, car.delta_sw and a tracker's e. path: what the car
     should follow, or None. wheelbase, l_f [m], steer_ratio [1]: the car, where the log does not know its own. speed:
     how many seconds of the run one second of film shows (default: so many that it lasts 15 s, 1 at least). fps:
-    pictures a second. window: half the width of what is seen around the car [m]. car: which one of a batch.
+    pictures a second. car: which one of a batch.
     Returns the file.
     Raises ValueError for another kind of file, a log without a car, or an MP4 without ffmpeg.
     """
     film_file = File(file)
     film = film_writer(film_file)
-    require(5.0 <= window <= 1e4, "animate", f"window = {window} m, expected 5 to 10000")
     require(1.0 <= fps <= 60.0, "animate", f"fps = {fps}, expected 1 to 60")
     run = Moments.of_log(log, car)
     if speed is None:
@@ -80,10 +77,10 @@ def animate(
         wheelbase, l_f, steer_ratio = float(known.wheelbase), float(known.l_f), float(known.steer_ratio)
     film_file.parent.mkdir(parents=True, exist_ok=True)
     with style():
-        scene = Scene(run, path, wheelbase, 0.45 * wheelbase if l_f is None else l_f, steer_ratio, window)
+        scene = Scene(run, path, wheelbase, 0.45 * wheelbase if l_f is None else l_f, steer_ratio, 18.0)
         writer = film(fps=fps)
         with writer.saving(scene.figure, str(film_file), dpi=80):
-            for t in _shown(moments, progress):
+            for t in shown(moments, "film" if progress else ""):
                 scene.show(float(t), speed)
                 writer.grab_frame()
     return film_file
@@ -243,11 +240,3 @@ def _moved(points: np.ndarray, angle: float, x: float, y: float) -> np.ndarray:
     """Points turned by an angle about the origin, then moved to (x, y)."""
     c, s = np.cos(angle), np.sin(angle)
     return points @ np.array([[c, s], [-s, c]]) + np.array([x, y])
-
-
-def _shown(moments: np.ndarray, progress: bool) -> Iterable[float]:
-    if not progress or not sys.stderr.isatty():
-        return moments
-    from rich.progress import track
-
-    return track(moments, description="film", transient=True)

@@ -7,6 +7,9 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from scipy.optimize import isotonic_regression
+
 from steerkit.plots.style import COLOURS, DPI, PALETTE, style
 
 if TYPE_CHECKING:
@@ -65,32 +68,15 @@ def _draw_box(axes: Axes, box: Box, colour: str, hollow: set[str]) -> None:
     from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 
     tint = tuple(1.0 - 0.16 * (1.0 - channel) for channel in to_rgb(colour))
-    shape = FancyBboxPatch(
-        (box.x, box.y),
-        box.width,
-        box.height,
-        boxstyle="round,pad=0,rounding_size=0.35",
-        fc=COLOURS["paper"],
-        ec=colour,
-        lw=1.2,
-        zorder=4,
-    )
-    axes.add_patch(shape)
-    head = Rectangle((box.x, box.y), box.width, HEAD - 0.25, fc=tint, lw=0, zorder=4.1)
+    corner, rounded = (box.x, box.y), "round,pad=0,rounding_size=0.35"
+    for face, order in ((COLOURS["paper"], 4.0), ("none", 4.2)):
+        shape = FancyBboxPatch(
+            corner, box.width, box.height, boxstyle=rounded, fc=face, ec=colour, lw=1.2, zorder=order
+        )
+        axes.add_patch(shape)
+    head = Rectangle(corner, box.width, HEAD - 0.25, fc=tint, lw=0, zorder=4.1)
     axes.add_patch(head)
     head.set_clip_path(shape)
-    axes.add_patch(
-        FancyBboxPatch(
-            (box.x, box.y),
-            box.width,
-            box.height,
-            boxstyle="round,pad=0,rounding_size=0.35",
-            fc="none",
-            ec=colour,
-            lw=1.2,
-            zorder=4.2,
-        )
-    )
     ink, muted = COLOURS["ink"], COLOURS["muted"]
     text: dict[str, Any] = {"zorder": 5, "va": "center"}
     axes.text(box.x + 0.5, box.y + 0.68, box.name, fontsize=9, fontweight="bold", color=ink, **text)
@@ -405,17 +391,10 @@ class _Router:
 
 
 def _spread(column: Sequence[_Node], wanted: Sequence[float], pull: Sequence[float]) -> None:
-    """Heights as near to those wanted (weighted least squares) as order and gaps allow: pool adjacent violators."""
-    offset, offsets = 0.0, []
-    for node in column:
-        offsets.append(offset)
-        offset += node.height + _GAP * (1.0 if node.height else 0.7)
-    pools: list[list[float]] = []  # mean, weight, count
-    for want, weight, shift in zip(wanted, pull, offsets):
-        pools.append([want - shift, weight, 1])
-        while len(pools) > 1 and pools[-2][0] > pools[-1][0]:
-            (a, u, n), (b, v, m) = pools[-2:]
-            pools[-2:] = [[(u * a + v * b) / (u + v), u + v, n + m]]
-    level = [mean for mean, _, count in pools for _ in range(int(count))]
-    for node, mean, shift in zip(column, level, offsets):
-        node.y = mean + shift
+    """Heights as near to those wanted (weighted least squares) as order and gaps allow."""
+    if not column:
+        return
+    sizes = [node.height + _GAP * (1.0 if node.height else 0.7) for node in column]
+    shifts = np.cumsum([0.0, *sizes[:-1]])
+    for node, y in zip(column, isotonic_regression(wanted - shifts, weights=pull).x + shifts):
+        node.y = float(y)

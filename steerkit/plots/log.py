@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from steerkit.plots.style import PALETTE, new_figure
 
@@ -16,24 +14,17 @@ if TYPE_CHECKING:
     from steerkit.diagram.simulation import Log, Signal
 
 
-def plot_log(log: Log, signals: Sequence[Signal] | None = None, *, ax: Any = None) -> Figure:
+def plot_log(log: Log, signals: Sequence[Signal] | None = None) -> Figure:
     """Signals of a log over t, one panel a unit, all panels over the same t; returns the figure.
 
-    signals: names or ports (default: all). ax: an axes, or one for each unit in the order of first use, to draw into.
-    A vector port gives a line an entry, a batch a thin line a car. Raises KeyError for a signal that was not
-    recorded, ValueError when the number of axes is not the number of units.
+    signals: names or ports (default: all). A vector port gives a line an entry, a batch a thin line a car. Raises
+    KeyError for a signal that was not recorded.
     """
     names = [_name(log, signal) for signal in (signals or [name for name in log if log[name].size])]
     by_unit: dict[str, list[str]] = {}
     for name in names:
         by_unit.setdefault(log.units[name], []).append(name)
-    if ax is None:
-        figure, panels = new_figure(len(by_unit))
-    else:
-        panels = tuple(np.atleast_1d(ax).flat)
-        if len(panels) != len(by_unit):
-            raise ValueError(f"plot_log: {len(panels)} axes for {len(by_unit)} units ({', '.join(by_unit)})")
-        figure = panels[0].get_figure(root=True)  # type: ignore[assignment]
+    figure, panels = new_figure(len(by_unit))
     for panel, (unit, group) in zip(panels, by_unit.items()):
         for number, name in enumerate(group):
             values = log[name]

@@ -108,11 +108,11 @@ def test_nan_stays_nan(doe: Any) -> None:
 @pytest.mark.parametrize(
     ("kind", "parameters", "message"),
     [
-        (Integrator, {"dt": 0.0}, r"Integrator: dt = 0.0 s, expected > 0"),
-        (PlainAngle, {"limit": 520.0}, r"PlainAngle: limit = 520.0 rad, expected 0 to 20 rad"),
-        (LowPass, {"limit": -1.0}, r"LowPass: limit = -1.0 rad"),
-        (LowPass, {"tau": 0.0}, r"LowPass: tau = 0.0 s, expected > 0"),
-        (LowPass, {"tau": math.nan}, r"LowPass: tau = nan s, expected > 0"),
+        (Integrator, {"dt": 0.0}, r"Integrator: dt = 0\.0 \[s\], expected > 0"),
+        (PlainAngle, {"limit": 520.0}, r"PlainAngle: limit = 520\.0 \[rad\], expected > 0 and <= 20"),
+        (LowPass, {"limit": -1.0}, r"LowPass: limit = -1\.0 \[rad\]"),
+        (LowPass, {"tau": 0.0}, r"LowPass: tau = 0\.0 \[s\], expected > 0"),
+        (LowPass, {"tau": math.nan}, r"LowPass: tau = nan \[s\], expected > 0"),
     ],
 )
 def test_bad_parameters(kind: type[Block], parameters: dict[str, float], message: str) -> None:

@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -139,16 +138,6 @@ def test_a_second_process_finds_the_library_in_the_cache(tmp_path: Path) -> None
     assert outputs[0] == outputs[1]
     assert stamps[0] == stamps[1]
     assert [name.endswith(".so") for name, _ in stamps[0]] == [True, True]  # what runs, and the tick that ends it
-
-
-def test_first_call_cost_is_told() -> None:
-    c = compile(decay_loop(), backend="python")
-    assert c.first_call_seconds is None
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        c.run(1.0)
-    assert c.first_call_seconds is not None
-    assert c.first_call_seconds >= c.trace_seconds > 0.0
 
 
 @pytest.mark.parametrize("batch", [0, -1, 2.5, "3"])

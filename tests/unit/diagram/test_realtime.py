@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 
-from steerkit._support.clock import Clock
 from steerkit.diagram.block import Block, Out
 from steerkit.diagram.loop import Loop
-from steerkit.diagram.realtime import BIN, Run, Timing, histogram_text, prefer, preferred, run
+from steerkit.diagram.realtime import BIN, Run, Timing, histogram_text, preferred, run
 
 
 @dataclass
@@ -95,18 +94,12 @@ def test_misses_are_told_at_once_and_may_end_the_run() -> None:
     told: list[tuple[int, int]] = []
 
     def on_miss(live: Run) -> bool:
-        told.append((live.k, live.timing.misses_of_last_second))
-        return live.timing.misses_of_last_second >= 3
+        told.append((live.k, live.timing.misses))
+        return live.timing.misses >= 3
 
     live, _ = go({3: 0.06, 6: 0.06, 9: 0.06, 12: 0.06}, on_miss=on_miss)
     assert told == [(4, 1), (7, 2), (10, 3)]
     assert live.k == 10
-
-
-def test_misses_are_forgotten_after_a_second() -> None:
-    live, _ = go({3: 0.06, 30: 0.06}, seconds=3.0)
-    assert live.timing.misses == 2
-    assert live.timing.misses_of_last_second == 0
 
 
 def test_the_watcher_ends_the_run_and_may_start_the_loop_again() -> None:
@@ -159,22 +152,6 @@ def test_bad_durations(duration: float) -> None:
         go(seconds=duration)
 
 
-@pytest.mark.parametrize("scale", [0.0, -1.0, math.nan, 101.0])
-def test_bad_scales(scale: float) -> None:
-    with pytest.raises(ValueError, match="scale"):
-        Clock(scale=scale)
-
-
-def test_a_scaled_clock_runs_faster() -> None:
-    slow, fast = Clock(), Clock(scale=50.0)
-    a, b = slow.now(), fast.now()
-    fast.sleep_until(b + 1.0)
-    assert fast.now() >= b + 1.0
-    assert slow.now() - a >= 0.02 - 1e-6
-    assert fast.wall(1.0) == 0.02
-    assert fast.wall(-1.0) == 0.0
-
-
 # ---- SCHED_FIFO ---------------------------------------------------------------------------------------------------
 
 
@@ -188,20 +165,16 @@ def test_a_machine_that_refuses_sched_fifo_is_told_apart_and_the_run_goes_on() -
             if os.geteuid() == 0:
                 os.setuid(65534)
             said = preferred()
-            try:
-                prefer()
-            except PermissionError as error:
-                said += f"|{error}"
             live, _ = go({}, seconds=0.5)
             os.write(writing, f"{said}|{live.timing.steps}".encode())
         finally:
             os._exit(0)
     os.close(writing)
     os.waitpid(child, 0)
-    said, raised, steps = os.read(reading, 4096).decode().split("|")
+    said, steps = os.read(reading, 4096).decode().split("|")
     os.close(reading)
-    assert raised.startswith("SCHED_FIFO 50: not permitted; run as root, or")
-    assert said == f"{raised}; going on without: expect late steps when the machine is busy"
+    assert said.startswith("SCHED_FIFO 50: not permitted; run as root, or")
+    assert said.endswith("; going on without: expect late steps when the machine is busy")
     assert steps == "10"
 
 
@@ -210,6 +183,5 @@ def test_where_it_is_granted_threads_and_children_do_not_have_it_unless_asked(mo
     monkeypatch.setattr(
         os, "sched_setscheduler", lambda pid, policy, param: asked.append((policy, param.sched_priority))
     )
-    assert preferred(priority=7) == "SCHED_FIFO 7: granted"
-    prefer(priority=8, threads=True)
-    assert asked == [(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 7), (os.SCHED_FIFO, 8)]
+    assert {preferred(), preferred(threads=True)} == {"SCHED_FIFO 50: granted"}
+    assert asked == [(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 50), (os.SCHED_FIFO, 50)]

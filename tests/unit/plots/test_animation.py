@@ -50,7 +50,6 @@ def test_the_car_is_to_scale_and_in_its_place(log: Log) -> None:
     ("options", "says"),
     [
         ({"file": "run.avi"}, r"a film ends in \.gif or \.mp4"),
-        ({"window": 1.0}, "window = 1.0 m"),
         ({"fps": 0.0}, "fps = 0.0"),
         ({"speed": -1.0}, "speed = -1.0"),
     ],

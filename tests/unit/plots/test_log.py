@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.plots.log import plot_log
-from steerkit.plots.style import new_figure
 from tests.support.diagrams import small
 
 
@@ -42,15 +41,6 @@ def test_signals_may_be_ports() -> None:
     assert plot_log(log, [loop.blocks["gain"].y]).axes[0].get_lines()[0].get_label() == "gain.y"
     with pytest.raises(KeyError, match=r"no signal 'gain.z' in the log"):
         log.plot("gain.z")
-
-
-def test_drawing_into_given_axes() -> None:
-    log = simulate(small(), 1.0)
-    figure, (top, low) = new_figure(2, title="mine")
-    assert log.plot("wave.v", "angle.angle", ax=(top, low)) is figure
-    assert len(top.get_lines()) == len(low.get_lines()) == 1
-    with pytest.raises(ValueError, match=r"plot_log: 1 axes for 2 units \(m, rad\)"):
-        log.plot("wave.v", "angle.angle", ax=top)
 
 
 def test_a_batch_has_its_cars_in_their_order() -> None:
