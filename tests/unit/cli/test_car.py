@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,16 +15,30 @@ from steerkit.car.server import CarServer
 from tests.support import command_lines
 from tests.support.recordings import LINES, chunks_of, flipped, small
 
-
-def run(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    return command_lines.run("car", *words, monkeypatch=monkeypatch)
+Run = Callable[..., tuple[int, str, str]]
 
 
-def test_check_prints_what_is_read_and_written(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("check", "dbw-kit.toml", monkeypatch=monkeypatch) == 0
-    printed = capsys.readouterr().out
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """`steerkit car` with these words: exit code, what it printed, and its errors."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        code = command_lines.run("car", *map(str, words), monkeypatch=monkeypatch)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A whole recording."""
+    (tmp_path / "drive.mcap").write_bytes(small())
+    return tmp_path / "drive.mcap"
+
+
+def test_check_prints_what_is_read_and_written(run: Run) -> None:
+    code, printed, _ = run("check", "dbw-kit.toml")
+    assert code == 0
     for word in ("STEERING_REPORT (0x65)", "STEERING_CMD (0x64)", "path     paper", "no mistakes found"):
         assert word in printed
 
@@ -45,22 +60,19 @@ def test_check_prints_what_is_read_and_written(
         (("calibrate", "--from", "/dev/null"), "no recording of steerkit"),
     ],
 )
-def test_mistakes_are_one_line_and_exit_code_2(
-    words: tuple[str, ...], says: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(*words, monkeypatch=monkeypatch) == 2
-    error = capsys.readouterr().err.strip()
+def test_mistakes_are_one_line_and_exit_code_2(words: tuple[str, ...], says: str, run: Run) -> None:
+    code, _, error = run(*words)
+    assert code == 2
     assert says in error
-    assert len(error.splitlines()) == 1
+    assert len(error.strip().splitlines()) == 1
 
 
-def test_check_knows_the_courses(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_knows_the_courses(tmp_path: Path, run: Run) -> None:
     file = tmp_path / "car.toml"
     file.write_text(shipped("dbw-kit.toml").read_text().replace('name = "paper"', 'name = "papre"'))
-    assert run("check", str(file), monkeypatch=monkeypatch) == 2
-    assert f"{file}: [course] name: course: 'papre' is not known; did you mean 'paper'?" in capsys.readouterr().err
+    code, _, error = run("check", file)
+    assert code == 2
+    assert f"{file}: [course] name: course 'papre' is not known (did you mean 'paper'?)" in error
 
 
 def test_a_controller_that_is_not_known_names_the_valid_ones(tmp_path: Path) -> None:
@@ -78,96 +90,85 @@ def test_a_controller_that_is_not_known_names_the_valid_ones(tmp_path: Path) -> 
         fault_of("dorp pose", 0.0)
 
 
-def test_a_recording_that_is_whole_replays_with_exit_code_0(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "drive.mcap"
-    file.write_bytes(small())
-    assert run("replay", str(file), "--controller", "stanley", monkeypatch=monkeypatch) == 0
-    printed = capsys.readouterr().out
-    count = len(recordings.read(file).messages)
+def test_a_recording_that_is_whole_replays_with_exit_code_0(drive: Path, run: Run) -> None:
+    code, printed, _ = run("replay", drive, "--controller", "stanley")
+    assert code == 0
+    count = len(recordings.read(drive).messages)
     assert printed.startswith(f"{count} of {count} messages, ")
     assert "READY -> ENGAGED: operator: engage" in printed
     frames, same = re.search(r"server: (\d+) of (\d+) frames the same", printed).groups()  # type: ignore[union-attr]
     assert frames == same != "0"
     assert "stanley: " in printed
-    assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
-    assert run("replay", str(file), monkeypatch=monkeypatch) == 2
-    assert "cannot be replayed: the recording does not name who steered" in capsys.readouterr().out
+    assert [f.name for f in drive.parent.iterdir()] == ["drive.mcap"]
+    code, printed, _ = run("replay", drive)
+    assert code == 2
+    assert "cannot be replayed: the recording does not name who steered" in printed
 
 
-def test_a_damaged_recording_is_repaired_into_a_new_file_with_exit_code_1(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file, words = tmp_path / "drive.mcap", ("--controller", "stanley")
+def test_a_damaged_recording_is_repaired_into_a_new_file_with_exit_code_1(drive: Path, run: Run) -> None:
+    words = ("--controller", "stanley")
     hurt = flipped(small(), 8 * (chunks_of(small())[-2].begin + 300))
-    file.write_bytes(hurt)
-    assert run("replay", str(file), *words, monkeypatch=monkeypatch) == 1
-    printed = capsys.readouterr().out
+    drive.write_bytes(hurt)
+    code, printed, _ = run("replay", drive, *words)
+    assert code == 1
     assert f"{LINES} messages are missing between" in printed
-    assert f"drive.repaired.mcap; {file} is as it was" in printed
+    assert f"drive.repaired.mcap; {drive} is as it was" in printed
     assert "what follows missing messages may replay differently" in printed
-    assert file.read_bytes() == hurt
-    repaired = tmp_path / "drive.repaired.mcap"
+    assert drive.read_bytes() == hurt
+    repaired = drive.with_name("drive.repaired.mcap")
     repaired.write_bytes(b"mine")
-    assert run("replay", str(file), *words, monkeypatch=monkeypatch) == 1
-    assert "not repaired: " in capsys.readouterr().out
+    assert "not repaired: " in run("replay", drive, *words)[1]
     assert repaired.read_bytes() == b"mine"
-    assert run("replay", str(file), *words, "--overwrite", monkeypatch=monkeypatch) == 1
-    assert run("replay", str(repaired), *words, monkeypatch=monkeypatch) == 1  # what was missing before still is
-    assert f"{LINES} messages are missing between" in capsys.readouterr().out
-    assert sorted(f.name for f in tmp_path.iterdir()) == ["drive.mcap", "drive.repaired.mcap"]
+    assert run("replay", drive, *words, "--overwrite")[0] == 1
+    code, printed, _ = run("replay", repaired, *words)
+    assert code == 1, "what was missing before still is"
+    assert f"{LINES} messages are missing between" in printed
+    assert sorted(f.name for f in drive.parent.iterdir()) == ["drive.mcap", "drive.repaired.mcap"]
 
 
-def test_a_recording_with_nothing_but_a_damaged_index_has_lost_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "drive.mcap"
-    file.write_bytes(small()[:-3])
-    out = tmp_path / "new.mcap"
-    assert run("replay", str(file), "--controller", "stanley", "--out", str(out), monkeypatch=monkeypatch) == 0
-    assert "no message is missing" in capsys.readouterr().out
+def test_a_recording_with_nothing_but_a_damaged_index_has_lost_nothing(drive: Path, run: Run) -> None:
+    drive.write_bytes(small()[:-3])
+    out = drive.with_name("new.mcap")
+    code, printed, _ = run("replay", drive, "--controller", "stanley", "--out", out)
+    assert code == 0
+    assert "no message is missing" in printed
     assert recordings.read(out).whole
 
 
-def test_a_recording_in_use_is_only_looked_into(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "drive.mcap"
-    file.write_bytes(small()[:-3])
-    with file.open("rb") as stream:
+def test_a_recording_in_use_is_only_looked_into(drive: Path, run: Run) -> None:
+    drive.write_bytes(small()[:-3])
+    with drive.open("rb") as stream:
         fcntl.flock(stream, fcntl.LOCK_EX)
-        assert run("replay", str(file), "--controller", "stanley", monkeypatch=monkeypatch) == 0
-        assert "being written by a car server: this is what is there so far" in capsys.readouterr().out
-        assert run("replay", str(file), "--out", str(tmp_path / "new.mcap"), monkeypatch=monkeypatch) == 2
-        assert "repair it when that has ended" in capsys.readouterr().err
-    assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
+        code, printed, _ = run("replay", drive, "--controller", "stanley")
+        assert code == 0
+        assert "being written by a car server: this is what is there so far" in printed
+        code, _, error = run("replay", drive, "--out", drive.with_name("new.mcap"))
+        assert code == 2
+        assert "repair it when that has ended" in error
+    assert [f.name for f in drive.parent.iterdir()] == ["drive.mcap"]
 
 
 def test_a_recording_that_has_to_be_kept_has_to_be_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     text = shipped("dbw-kit.toml").read_text()
     (tmp_path / "car.toml").write_text(text.replace("keep_recording = false", "keep_recording = true"))
     monkeypatch.setattr(CarServer, "run", CarServer.close)  # should it get there
-    words = ("--config", str(tmp_path / "car.toml"), "--channel", "virtual:x", "--socket", str(tmp_path / "socket"))
-    assert run("server", *words, monkeypatch=monkeypatch) == 2
-    assert "keep_recording = true, but nothing is recorded; give --recording" in capsys.readouterr().err
+    words = ("--config", tmp_path / "car.toml", "--channel", "virtual:x", "--socket", tmp_path / "socket")
+    code, _, error = run("server", *words)
+    assert code == 2
+    assert "keep_recording = true, but nothing is recorded; give --recording" in error
 
 
-def test_a_drive_that_told_nothing_of_the_car_is_exit_code_1_and_leaves_what_is_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file, out = tmp_path / "drive.mcap", tmp_path / "mine.toml"
-    file.write_bytes(small())
-    words = ("calibrate", "--from", str(file), "--out", str(out))
-    assert run(*words, monkeypatch=monkeypatch) == 1
-    told = capsys.readouterr()
-    assert "nothing was learned, no vehicle file is written; the wheel has to move to and fro" in told.err
-    assert "steering ratio" in told.out
-    assert [f.name for f in tmp_path.iterdir()] == ["drive.mcap"]
-    assert run(*words, "--json", "-q", monkeypatch=monkeypatch) == 1
-    assert capsys.readouterr().out == ""
+def test_a_drive_that_told_nothing_of_the_car_is_exit_code_1_and_leaves_what_is_there(drive: Path, run: Run) -> None:
+    out = drive.with_name("mine.toml")
+    words = ("calibrate", "--from", drive, "--out", out)
+    code, printed, error = run(*words)
+    assert code == 1
+    assert "nothing was learned, no vehicle file is written; the wheel has to move to and fro" in error
+    assert "steering ratio" in printed
+    assert [f.name for f in drive.parent.iterdir()] == ["drive.mcap"]
+    assert run(*words, "--json", "-q")[:2] == (1, "")
     out.write_text("mine", encoding="utf-8")
-    assert run(*words, monkeypatch=monkeypatch) == 2
+    assert run(*words)[0] == 2
     assert out.read_text(encoding="utf-8") == "mine"
