@@ -75,14 +75,6 @@ def test_beyond_the_ends_of_an_open_path_it_goes_on_straight(x, s):
     assert (out.e, out.psi_e) == (pytest.approx(0.4, abs=EXACT), pytest.approx(0.1, abs=EXACT))
 
 
-def test_driving_off_an_open_path_keeps_s_at_its_end():
-    poses = np.column_stack((np.arange(95.0, 110.0, 0.25), np.full(60, 0.3), np.zeros(60)))
-    s, progress, e, *_ = drive(PathTracker(path=courses.straight(100.0)), poses)
-    assert np.allclose(s, np.minimum(poses[:, 0], 100.0), atol=EXACT)
-    assert np.allclose(progress, s - 95.0, atol=EXACT)
-    assert np.allclose(e, 0.3, atol=EXACT)
-
-
 def test_the_lemniscate_has_its_length_and_curvature():
     path, a = courses.figure_eight(60.0), 30.0
     assert path.length == pytest.approx(5.244115108584239 * a, rel=1e-7)  # 2*varpi*a

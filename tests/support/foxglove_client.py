@@ -29,7 +29,7 @@ class Client:
     """One that is connected; `with` ends it."""
 
     def __init__(self, address: str):
-        self.socket: ClientConnection = connect(address, subprotocols=[PROTOCOL], legacy=True)  # type: ignore[list-item]
+        self.socket: ClientConnection = connect(address, subprotocols=[PROTOCOL], legacy=True, close_timeout=0.5)  # type: ignore[list-item]
         self.info = self.words()
         self.channels: dict[int, dict[str, Any]] = {}
 

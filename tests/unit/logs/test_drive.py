@@ -40,14 +40,6 @@ def test_the_headings_zero_repairs_the_gyros(clean: dict[str, Any]) -> None:
     assert without["rate_zero"].low < 0.004 < without["rate_zero"].high
 
 
-def test_yaw_rate_from_the_heading_alone(clean: dict[str, Any]) -> None:
-    heading = {key: value for key, value in clean.items() if key != "r"}
-    heading["psi"] = (heading["psi"] + np.pi) % (2.0 * np.pi) - np.pi
-    drive = Drive.of(heading)
-    inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
-    np.testing.assert_allclose(drive.r[inner], clean["r"][: len(drive.r)][inner], atol=0.01)
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -110,14 +102,6 @@ def test_a_heading_that_passes_180_degrees_goes_on() -> None:
         np.testing.assert_allclose(drive.r[inner], whole["r"][: len(drive.r)][inner], atol=2e-3)
 
 
-@pytest.mark.parametrize("zero", [0.01, -0.02])
-def test_a_gyros_zero_is_taken_off(zero: float) -> None:
-    whole = circling()
-    drive = Drive.of(circling(r=whole["r"] + zero))
-    inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
-    np.testing.assert_allclose(drive.r[inner], whole["r"][: len(drive.r)][inner], atol=1e-3)
-
-
 @pytest.mark.parametrize(("key", "jump"), [("delta_sw", 4.0), ("v", 8.0), ("r", 2.0)])
 def test_a_lone_value_that_no_car_reaches_is_left_out(key: str, jump: float, clean: dict[str, Any]) -> None:
     spoilt = {name: value.copy() for name, value in by_rate(clean).items()}
@@ -174,16 +158,6 @@ def test_where_a_channel_pauses_nothing_is_made_up() -> None:
     inside = (even["t"] > 4.001) & (even["t"] < 5.999)
     assert np.isnan(even["v"][inside]).all()
     assert np.isfinite(even["v"][~inside & (even["t"] < 3.99)]).all()
-
-
-def test_where_the_car_was_may_be_unknown_without_a_row_lost() -> None:
-    t = np.arange(0.0, 10.0, 0.01)
-    gps = np.arange(3.0, 5.0, 0.1)
-    even = aligned({"v": t, "x": gps, "y": gps}, {"v": t, "x": gps, "y": gps}, "test", [])
-    assert len(even["t"]) == len(t)
-    known = np.isfinite(even["x"])
-    np.testing.assert_allclose(even["x"][known], even["t"][known], atol=1e-9)
-    assert known.sum() == pytest.approx(190, abs=2)
 
 
 def test_clocks_that_do_not_overlap_teach() -> None:
@@ -255,10 +229,3 @@ def test_a_lost_sample_and_a_pause_are_no_wrong_times() -> None:
     there = np.ones(len(T), dtype=bool)
     there[[100, *range(500, 560)]] = False
     assert odd_values({"r": np.sin(T[there])}, {"r": T[there]}) == []
-
-
-def test_values_that_are_none_and_short_channels_are_passed_over() -> None:
-    values = np.sin(T)
-    values[::7] = np.nan
-    assert odd_values({"r": values}, {"r": T}) == []
-    assert odd_values({"r": T[:10]}, {"r": T[:10]}) == []

@@ -45,17 +45,6 @@ def test_reports_of_autoware_are_known_by_kind_and_keep_float32_to_the_last_bit(
         assert read_drive(written(name, tmp_path, columns)[0]).notes[1].startswith("delta_sw = 15 * the road wheels'")
 
 
-def test_one_log_in_every_format_is_one_drive(tmp_path: Path) -> None:
-    """Those of CAN signals are bit for bit the same among themselves, whatever file the frames came in."""
-    drives = []
-    for name in ("candump", "asc", "blf", "ros2 frames"):
-        file, how = written(name, tmp_path, driven())
-        drives.append(read_log(file, **how).channels)
-    for one in drives[1:]:
-        for name in ("WHEEL.STEERING_WHEEL_ANGLE", "MOTION.VEHICLE_SPEED", "MOTION.YAW_RATE"):
-            np.testing.assert_array_equal(one[name].values, drives[0][name].values)
-
-
 def test_a_long_mf4_is_read_piece_by_piece_to_the_last_bit(tmp_path: Path) -> None:
     columns = driven(500.0)
     file, _ = written("mf4", tmp_path, columns)

@@ -115,15 +115,6 @@ def test_samples_hold_both_ends():
     assert k.psi[-1] - k.psi[0] == pytest.approx(2.0 * math.pi)
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_samples_of_a_circle_turn_to_its_side(side):
-    path = courses.circle(20.0) if side > 0.0 else courses.circle(20.0).reversed()
-    knots = path.samples
-    assert knots.kappa == pytest.approx(np.full(len(knots.s), side / 20.0), rel=1e-5)
-    assert knots.psi - knots.psi[0] == pytest.approx(side * knots.s / 20.0, abs=1e-6)
-    assert path.kappa(knots.s) == pytest.approx(knots.kappa, rel=1e-12)
-
-
 @pytest.mark.parametrize("name", ["paper", "genesis-rfs"])
 def test_reversed_is_the_same_curve_the_other_way(name):
     path = courses.course(name)

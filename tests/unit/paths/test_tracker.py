@@ -34,14 +34,6 @@ def test_the_place_is_found_wherever_the_car_starts(s, e, psi_e):
     assert y.progress == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("s", [2.622 * 60.0 / 4.0, 2.622 * 60.0 * 3.0 / 4.0])
-def test_at_a_crossing_the_heading_decides(s):
-    path = courses.figure_eight(60.0)
-    tracker = PathTracker(path=path)
-    state = tracker.settle(0.0, tracker.init(), inputs(tracker, pose_beside(path, s, 0.1, 0.3)))
-    assert state.s == pytest.approx(s, abs=0.01)
-
-
 @pytest.mark.parametrize("along", [-0.6, -0.2, 0.0, 0.3, 0.7])
 @pytest.mark.parametrize("e", [-0.5, 0.0, 0.5])
 @pytest.mark.parametrize("s", [2.622 * 60.0 / 4.0, 2.622 * 60.0 * 3.0 / 4.0])
@@ -92,15 +84,6 @@ def test_beyond_the_end_of_an_open_path_neither_s_nor_progress_goes_on():
         state = tracker.update(0.0, state, now, y)
 
 
-def test_floats_stay_floats():
-    tracker = PathTracker(path=PAPER, preview_points=2)
-    u = inputs(tracker, (1.0, 0.2, 0.1))
-    state = tracker.settle(0.0, tracker.init(), u)
-    y = tracker.output(0.0, state, u)
-    later = tracker.update(0.0, state, u, y)
-    assert {type(a) for a in (*state, *y[:7], *y.preview, *later)} == {float}
-
-
 @pytest.mark.parametrize("path", [PAPER, courses.course("genesis-rfs")], ids=["closed", "open"])
 def test_a_batch_equals_its_cars_one_by_one(path):
     rng = np.random.default_rng(1)
@@ -124,29 +107,20 @@ def test_a_batch_equals_its_cars_one_by_one(path):
             assert np.allclose([a[k] for a in (*batch[:7], *batch.preview)], [*single[:7], *single.preview], atol=1e-9)
 
 
-@settings(max_examples=30)
+@settings(max_examples=10)
 @given(start=st.floats(0.0, 188.0), v=st.floats(-5.0, 9.0))
 def test_round_after_round_s_wraps_and_progress_does_not(start, v):
     path = courses.circle(30.0)
     tracker, s, state = PathTracker(path=path), start, None
-    for k in range(900):
+    for k in range(500):
         u = tracker.D(30.0 * math.sin(s / 30.0), 30.0 - 30.0 * math.cos(s / 30.0), s / 30.0, v, 0.0, v / 30.0)
         state = tracker.settle(0.0, tracker.init(), u) if state is None else state
         y = tracker.output(k * 0.05, state, u)
         state = tracker.update(k * 0.05, state, u, y)
         assert 0.0 <= y.s <= path.length
         s += 0.05 * v
-    assert y.progress == pytest.approx(v * 0.05 * 899, abs=1e-6)
+    assert y.progress == pytest.approx(v * 0.05 * 499, abs=1e-6)
     assert math.remainder(y.s - (s - 0.05 * v), path.length) == pytest.approx(0.0, abs=1e-6)
-
-
-def test_a_car_at_rest_stays_where_it_is():
-    tracker = PathTracker(path=PAPER, reference=1.2)
-    u = inputs(tracker, pose_beside(PAPER, 100.0, 0.5, 0.3), v=0.0, r=0.0)
-    state = first = tracker.settle(0.0, tracker.init(), u)
-    for k in range(100):
-        state = tracker.update(k * 0.05, state, u, tracker.output(k * 0.05, state, u))
-    assert state == pytest.approx(first, abs=1e-9)
 
 
 def test_after_a_jump_of_the_measured_position_the_place_is_found_again():

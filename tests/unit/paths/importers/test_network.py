@@ -83,12 +83,6 @@ def test_a_kink_between_lanes_is_refused() -> None:
         lanes.route({"lanelet": "a", "to": "c"}, "town")
 
 
-def test_one_road_alone_needs_no_choice() -> None:
-    one = Map(kind="way", pieces={"a": piece("a", (0, 0), (40, 0), "b")}, noise=1.0, drawn=True)
-    line, closed, _ = one.route({}, "town")
-    assert (len(line.xy), closed) == (11, False)
-
-
 def test_lanes_are_asked_for_where_there_are_several() -> None:
     pieces = {f"1/{k}": piece("1", (0, -k), (40, -k), lane=str(-k)) for k in (1, 2)}
     road = Map(kind="road", pieces=pieces, noise=0.0, drawn=False)
