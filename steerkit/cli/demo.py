@@ -112,26 +112,16 @@ def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> Part:
 
 
 def _milestones(parts: list[Part]) -> Table:
-    table = Table(
-        "run",
-        "first round begun (s)",
-        "failures before it",
-        "failures",
-        "rounds",
-        "transitions",
-        title="learning, in driving time",
-    )
+    columns = {
+        "first round begun (s)": "first_round_begun_s",
+        "failures before it": "failures_to_round",
+        **{name: name for name in ("failures", "rounds", "transitions")},
+    }
+    table = Table("run", *columns, title="learning, in driving time")
     for part in parts:
-        m = part.merit
-        begun = m["first_round_begun_s"]
-        table.add_row(
-            part.name,
-            "none" if begun is None else f"{begun:.0f}",
-            str(m["failures_to_round"]),
-            str(m["failures"]),
-            str(m["rounds"]),
-            str(m["transitions"]),
-        )
+        begun = part.merit["first_round_begun_s"]
+        merit: dict[str, object] = part.merit | {"first_round_begun_s": "none" if begun is None else f"{begun:.0f}"}
+        table.add_row(part.name, *(str(merit[key]) for key in columns.values()))
     return table
 
 

@@ -70,7 +70,7 @@ class DesignModel:
         check_numbers(self, "DesignModel")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ControllerSpec:
     """How a controller of the table is made."""
 
@@ -78,17 +78,11 @@ class ControllerSpec:
     """One line for lists and reports."""
     make: Callable[[DesignModel], Block]
     """Makes the block."""
-    can_recover: bool = False
-    """May it take over from a learned controller, from any state of the car?"""
 
 
 def _stanley(design_model: DesignModel) -> Block:
     law = Stanley.of(design_model.vehicle)
     return replace(law, rate_limit=design_model.rate_limit, slew=design_model.slew, a_y_limit=design_model.a_y_limit)
-
-
-def _textbook(design_model: DesignModel) -> Block:
-    return Stanley.textbook(design_model.vehicle)
 
 
 def _delayed(design_model: DesignModel) -> Block:
@@ -105,39 +99,30 @@ def _lqr(design_model: DesignModel) -> Block:
     return replace(block, rate_limit=design_model.rate_limit)
 
 
-def _pure_pursuit(design_model: DesignModel) -> Block:
-    return PurePursuit.of(design_model.vehicle, design_model.path, delay=design_model.delay)
-
-
-def _linear_mpc(design_model: DesignModel) -> Block:
-    from steerkit.controllers.mpc.block import MPC  # here, as it loads CasADi
-
-    return _predictive(MPC, design_model)
-
-
-def _nonlinear_mpc(design_model: DesignModel) -> Block:
-    from steerkit.controllers.mpc.block import NonlinearMPC
-
-    return _predictive(NonlinearMPC, design_model)
-
-
 _Q_RATE_OF_TORQUE = 4e-3
 """Weight of the command's rate for a car steered by torque: at that of the others, a gain 25 % off makes it swing."""
 
 
-def _predictive(kind: Any, design_model: DesignModel) -> Block:
-    car = design_model.vehicle
-    return kind.of(
-        NonlinearSingleTrack(vehicle=car),
-        delay=design_model.delay + 0.5 * design_model.hold,
-        lag=design_model.lag,
-        rate_limit=min(design_model.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
-        **({} if design_model.slew is None else {"q_rate": _Q_RATE_OF_TORQUE}),
-        **({} if design_model.a_y_limit is None else {"a_y_limit": min(design_model.a_y_limit, kind.a_y_limit)}),
-        fallback=_stanley(design_model),
-        budget=design_model.budget,
-        clock=design_model.clock,
-    )
+def _predictive(name: str) -> Callable[[DesignModel], Block]:
+    """What makes the predictive controller of that class."""
+
+    def made(model: DesignModel) -> Block:
+        from steerkit.controllers.mpc import block  # here, as it loads CasADi
+
+        kind: Any = getattr(block, name)
+        return kind.of(
+            NonlinearSingleTrack(vehicle=model.vehicle),
+            delay=model.delay + 0.5 * model.hold,
+            lag=model.lag,
+            rate_limit=min(model.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
+            **({} if model.slew is None else {"q_rate": _Q_RATE_OF_TORQUE}),
+            **({} if model.a_y_limit is None else {"a_y_limit": min(model.a_y_limit, kind.a_y_limit)}),
+            fallback=_stanley(model),
+            budget=model.budget,
+            clock=model.clock,
+        )
+
+    return made
 
 
 def _offset_free(make: Callable[[DesignModel], Block], **settings: float) -> Callable[[DesignModel], Block]:
@@ -185,25 +170,26 @@ def _adaptive_offset_free(make: Callable[[DesignModel], Block]) -> Callable[[Des
     return _adaptive(_offset_free(make, time=first, time_late=later))
 
 
+_LINEAR_MPC = _predictive("MPC")
 CONTROLLERS: Mapping[str, ControllerSpec] = MappingProxyType(
     {
-        "stanley": ControllerSpec(about="Stanley, all terms of eq. 9", make=_stanley, can_recover=True),
-        "stanley-textbook": ControllerSpec(about="Stanley, heading and cross-track terms only", make=_textbook),
-        "stanley-delay": ControllerSpec(
-            about="Stanley behind a predictor of delay and lag", make=_delayed, can_recover=True
+        "stanley": ControllerSpec("Stanley, all terms of eq. 9", _stanley),
+        "stanley-textbook": ControllerSpec(
+            "Stanley, heading and cross-track terms only", lambda model: Stanley.textbook(model.vehicle)
         ),
-        "pure-pursuit": ControllerSpec(about="pure pursuit, no model", make=_pure_pursuit),
-        "lqr": ControllerSpec(about="LQR with delay states and curvature preview", make=_lqr),
-        "mpc": ControllerSpec(about="linear MPC over 1 s, limits and delay known", make=_linear_mpc),
-        "nonlinear-mpc": ControllerSpec(about="nonlinear MPC, real-time iteration", make=_nonlinear_mpc),
-        "stanley-offset-free": ControllerSpec(about="stanley-delay with integral action", make=_offset_free(_delayed)),
-        "lqr-offset-free": ControllerSpec(about="LQR with integral action", make=_offset_free(_lqr)),
-        "mpc-offset-free": ControllerSpec(about="linear MPC with integral action", make=_offset_free(_linear_mpc)),
-        "stanley-adaptive": ControllerSpec(
-            about="stanley-offset-free that adapts", make=_adaptive_offset_free(_delayed)
+        "stanley-delay": ControllerSpec("Stanley behind a predictor of delay and lag", _delayed),
+        "pure-pursuit": ControllerSpec(
+            "pure pursuit, no model", lambda model: PurePursuit.of(model.vehicle, model.path, delay=model.delay)
         ),
-        "lqr-adaptive": ControllerSpec(about="lqr-offset-free that adapts", make=_adaptive_offset_free(_lqr)),
-        "mpc-adaptive": ControllerSpec(about="mpc-offset-free that adapts", make=_adaptive_offset_free(_linear_mpc)),
+        "lqr": ControllerSpec("LQR with delay states and curvature preview", _lqr),
+        "mpc": ControllerSpec("linear MPC over 1 s, limits and delay known", _LINEAR_MPC),
+        "nonlinear-mpc": ControllerSpec("nonlinear MPC, real-time iteration", _predictive("NonlinearMPC")),
+        "stanley-offset-free": ControllerSpec("stanley-delay with integral action", _offset_free(_delayed)),
+        "lqr-offset-free": ControllerSpec("LQR with integral action", _offset_free(_lqr)),
+        "mpc-offset-free": ControllerSpec("linear MPC with integral action", _offset_free(_LINEAR_MPC)),
+        "stanley-adaptive": ControllerSpec("stanley-offset-free that adapts", _adaptive_offset_free(_delayed)),
+        "lqr-adaptive": ControllerSpec("lqr-offset-free that adapts", _adaptive_offset_free(_lqr)),
+        "mpc-adaptive": ControllerSpec("mpc-offset-free that adapts", _adaptive_offset_free(_LINEAR_MPC)),
     }
 )
 """The analytic controllers: they steer by themselves and learn nothing."""
@@ -213,8 +199,8 @@ AUTO = "auto"
 """The recovery controller that fits the car: `stanley-delay` where dead time or slew is believed, else `stanley`."""
 ADAPTIVE = "adaptive"
 """The recovery controller that needs neither dead time nor ratio: it finds them while it or the learner steers."""
-RECOVERIES = (AUTO, ADAPTIVE, *(name for name, recipe in CONTROLLERS.items() if recipe.can_recover))
-"""Names of the recovery controllers."""
+RECOVERIES = (AUTO, ADAPTIVE, "stanley", "stanley-delay")
+"""Names of the recovery controllers: those that may take over from any state of the car."""
 ELEMENTS: Mapping[str, type[OutputElement]] = MappingProxyType(
     {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
 )
