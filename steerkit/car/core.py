@@ -230,14 +230,12 @@ class Core:
 
     def _against(self, order: Order) -> str:
         mode = self.machine.mode
-        match order:
-            case Order.ENGAGE if mode is not Mode.READY:
-                return f"not engaged from {mode}: {'; '.join(self.obstacles()) or self.machine.cause}"
-            case Order.ARM if mode is not Mode.OFF:
-                return f"armed already: {mode}"
-            case Order.ACKNOWLEDGE if mode not in (Mode.FAULT, Mode.OVERRIDE, Mode.STANDBY):
-                return f"nothing to acknowledge in {mode}"
-        return ""
+        if order is Order.ENGAGE and mode is not Mode.READY:
+            return f"not engaged from {mode}: {'; '.join(self.obstacles()) or self.machine.cause}"
+        if order is Order.ARM and mode is not Mode.OFF:
+            return f"armed already: {mode}"
+        nothing = order is Order.ACKNOWLEDGE and mode not in (Mode.FAULT, Mode.OVERRIDE, Mode.STANDBY)
+        return f"nothing to acknowledge in {mode}" if nothing else ""
 
     # ---- deciding -------------------------------------------------------------------------------------------
 
@@ -318,15 +316,12 @@ class Core:
             speeds = (self.senses.values["v"], self.senses.values["v_kit"])
             dt = pause if self._sent else dt_min
             verdict = gate(self.config.gate, request.delta_sw, self._command, speeds, dt)
-            values = {"t": t, "request": request.delta_sw, "sent": verdict.delta_sw, "why": verdict.why}
-            self._new_request = False
-            if not verdict.send:
-                out.append(Note("command", {**values, "sent": math.nan}))
-                return
-            self._command = verdict.delta_sw
-            self._sent.append((t, self._command))
-            out.append(Note("command", values))
-            self._send(t, out, enable=True)
+            self._new_request, sent = False, verdict.delta_sw if verdict.send else math.nan
+            out.append(Note("command", {"t": t, "request": request.delta_sw, "sent": sent, "why": verdict.why}))
+            if verdict.send:
+                self._command = sent
+                self._sent.append((t, sent))
+                self._send(t, out, enable=True)
         elif self._neutral > 0 and pause >= self._pause:
             self._neutral -= 1
             self._send(t, out, enable=False)
@@ -356,9 +351,7 @@ class Core:
             ]
             if self._request:
                 moments.append(self._request.basis + limits.request_lost)
-            for moment in moments:
-                if t < moment < wake:
-                    wake = moment
+            wake = min([wake, *(moment for moment in moments if moment > t)])
         elif self._neutral:
             wake = min(wake, self._last_frame + self._pause)
         return max(wake, t + 1e-4)  # never spin
@@ -366,22 +359,17 @@ class Core:
     def snapshot(self, t: float) -> protocol.Snapshot:
         """What a client may know at time t [s]."""
         v, f = self.senses.values, self.facts(t)
-        speed, r = v.get("v", math.nan), v.get("r", math.nan)
         numbers = {name: v.get(name, math.nan) for name in ("x", "y", "psi", "v", "r", "delta_sw", "v_kit", "torque")}
-        match self.machine.mode:
-            case Mode.STANDBY | Mode.READY:
-                against = self.obstacles()
-            case Mode.ENGAGED:
-                against = states.warnings(self.config.states, f)
-            case _:
-                against = [*states.foreign_enable(self.config.states, f)]
+        limits = self.config.states
+        checks = {Mode.STANDBY: states.readying, Mode.READY: states.readying, Mode.ENGAGED: states.warnings}
+        against = [*checks.get(self.machine.mode, states.foreign_enable)(limits, f)]
         if self._unrecorded and not f.recording:  # else it stands among the obstacles already
-            against = [*against, f"not recorded: {self._unrecorded}"]
+            against.append(f"not recorded: {self._unrecorded}")
         return protocol.Snapshot(
             t=t,
             **numbers,
             beta=self.senses.beta,
-            a_y=v.get("a_y", speed * r),
+            a_y=v.get("a_y", numbers["v"] * numbers["r"]),
             e=self.senses.e,
             psi_e=self.senses.psi_e,
             command=self._command,

@@ -13,16 +13,13 @@ UNIT_FACTORS = {"": 1.0, "1": 1.0, **{unit: one for units in FACTORS.values() fo
 """Units that a signal may be in, and what one of them is in SI."""
 
 
-def _crc_table(polynomial: int) -> tuple[int, ...]:
-    rows = []
-    for byte in range(256):
-        for _ in range(8):
-            byte = ((byte << 1) ^ polynomial) & 0xFF if byte & 0x80 else byte << 1
-        rows.append(byte)
-    return tuple(rows)
+def _divided(byte: int) -> int:
+    for _ in range(8):
+        byte = ((byte << 1) ^ 0x2F) & 0xFF if byte & 0x80 else byte << 1
+    return byte
 
 
-_TABLE = _crc_table(0x2F)
+_TABLE = [_divided(byte) for byte in range(256)]
 
 
 def crc8_2f(data: bytes) -> int:
@@ -86,7 +83,7 @@ class FrameReader:
         self.kind = "x" if message.is_extended_frame else ""
         self.period = period
         self._ranges = {s.name: signal_range(s) for s in message.signals}
-        self._needed = {m.signal for m in mappings.values()} | ({counter} if counter else set())
+        self._needed = [*dict.fromkeys(m.signal for m in mappings.values()), *([counter] if counter else [])]
         self._crc_byte = message.get_signal_by_name(crc).start // 8 if crc else None
         self.modulus = 1 << message.get_signal_by_name(counter).length if counter else 0
         """The counter's; 0 without one."""
@@ -103,9 +100,7 @@ class FrameReader:
             raw = self.message.decode(data, decode_choices=False)
         except Exception as error:  # a multiplexer code of no signal, for one; what cantools raises is not ours to list
             return Checked({}, counter, f"{self.name}: cannot be decoded ({type(error).__name__}: {error})")
-        if not self._needed <= raw.keys():
-            named = (*(m.signal for m in self.mappings.values()), self.counter)
-            absent = [s for s in named if s and s not in raw]
+        if absent := [signal for signal in self._needed if signal not in raw]:
             return Checked({}, counter, f"{self.name}: without {', '.join(absent)}")
         if self.counter:
             new = int(raw[self.counter])
@@ -188,15 +183,15 @@ class CommandWriter:
     def _frame(self) -> FrameReader:
         return FrameReader(self.message, {"delta_sw": self.angle}, counter=self.counter, crc=self.crc)
 
-    @cached_property
+    @property
     def frame_id(self) -> int:
         """The id of the command."""
-        return int(self.message.frame_id)
+        return self._frame.frame_id
 
-    @cached_property
+    @property
     def extended(self) -> bool:
         """Has the id 29 bits?"""
-        return bool(self.message.is_extended_frame)
+        return self._frame.kind == "x"
 
     @cached_property
     def quantum(self) -> float:

@@ -294,10 +294,10 @@ def readying(li: StateLimits, f: Facts) -> Iterator[str]:
     yield from engaging(li, f)
 
 
-def warnings(limits: StateLimits, facts: Facts) -> list[str]:
+def warnings(li: StateLimits, f: Facts) -> Iterator[str]:
     """What the operator should know while engaged, before it ends driving."""
-    ahead = facts.remaining - limits.end_margin
-    return [f"the course ends in {ahead:.0f} m"] if ahead < limits.end_warning * max(facts.v, 0.0) else []
+    if f.remaining - li.end_margin < li.end_warning * max(f.v, 0.0):
+        yield f"the course ends in {f.remaining - li.end_margin:.0f} m"
 
 
 def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Order | None = None) -> Machine:

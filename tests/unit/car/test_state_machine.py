@@ -293,5 +293,5 @@ def test_exactly_at_its_limit_a_check_holds_for_engaging(facts: dict[str, Any]) 
 
 def test_the_operator_is_warned_of_the_end_of_the_course_and_only_then() -> None:
     for v, remaining in ((5.0, 31.0), (5.0, 30.0), (0.5, 7.5), (-1.0, 5.0)):
-        assert warnings(LIMITS, GOOD._replace(v=v, remaining=remaining)) == []
-    assert warnings(LIMITS, GOOD._replace(remaining=29.0)) == ["the course ends in 24 m"]
+        assert [*warnings(LIMITS, GOOD._replace(v=v, remaining=remaining))] == []
+    assert [*warnings(LIMITS, GOOD._replace(remaining=29.0))] == ["the course ends in 24 m"]
