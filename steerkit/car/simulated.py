@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 import random
 from collections import deque
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 from steerkit.car.config import CarConfig
@@ -129,14 +129,12 @@ class SimulatedCar:
         # the kit
         self.enabled = self.timeout = self.overridden = False
         self.command, self.heard = 0.0, -math.inf
-        self.commands = 0
         self._coming: deque[tuple[float, float]] = deque()  # commands that have not got to the motor yet
-        # what is on its way to the bus: (when, order, id, data)
-        self._waiting: list[tuple[float, int, int, bytes]] = []
+        self._waiting: list[tuple[float, int, bytes]] = []  # on the way to the bus: (when, id, data)
         self._count = dict.fromkeys((reader.frame_id for reader in config.readers), 0)
         self._last: dict[int, bytes] = {}
         self._stuck: dict[int, dict[str, float]] = {}
-        self._dice, self._order = random.Random(seed), 0
+        self._dice = random.Random(seed)
 
     # ---- the bus --------------------------------------------------------------------------------------------
 
@@ -146,7 +144,6 @@ class SimulatedCar:
         if frame_id != writer.frame_id or self._fault("deaf", t):
             return
         angle, enable, clear = writer.read(data)
-        self.commands += 1
         self.heard = t
         if clear or not enable:
             self.overridden = False
@@ -165,16 +162,14 @@ class SimulatedCar:
         """The frames (when, id, data) that the car sends until time t [s]."""
         while self.t + STEP <= t + 1e-9:
             self._step()
-        due = []
-        while self._waiting and self._waiting[0][0] <= t + 1e-9:
-            when, _, frame_id, data = heapq.heappop(self._waiting)
-            due.append((when, frame_id, data))
+        due = sorted([frame for frame in self._waiting if frame[0] <= t + 1e-9], key=itemgetter(0))
+        self._waiting = [frame for frame in self._waiting if frame[0] > t + 1e-9]
         return due
 
     @property
     def next(self) -> float:
         """When the next frame may come [s]."""
-        return min(self.t + STEP, self._waiting[0][0]) if self._waiting else self.t + STEP
+        return min([self.t + STEP, *[when for when, _, _ in self._waiting]])
 
     # ---- the car --------------------------------------------------------------------------------------------
 
@@ -194,12 +189,9 @@ class SimulatedCar:
             u = self.driver.U(*[known[name] for name in self.driver.U._fields])
             y = self.driver.output(t, x["driver"], u)
             self.steered, x["driver"] = y.delta_sw, self.driver.update(t, x["driver"], u, y)
-        if self._fault("override", t):
-            self.overridden = True
-        if self.enabled and t - self.heard >= WATCHDOG:
-            self.timeout = True
-        if self.timeout or self.overridden or self._fault("kit_fault", t):
-            self.enabled = False
+        self.overridden |= self._fault("override", t) is not None
+        self.timeout |= self.enabled and t - self.heard >= WATCHDOG
+        self.enabled &= not (self.timeout or self.overridden or self._fault("kit_fault", t))
         while self._coming and self._coming[0][0] <= t + 1e-9:
             self._reached = self._coming.popleft()[1]
         target = self._reached if self.enabled else self.steered
@@ -220,6 +212,7 @@ class SimulatedCar:
     def _values(self) -> dict[str, float]:
         y, t = self.now, self.t
         values = {
+            **y._asdict(),
             "delta_sw": self.turned,
             "v_kit": y.v,
             "torque": 0.2,
@@ -227,16 +220,12 @@ class SimulatedCar:
             "enabled": float(self.enabled),
             "override": float(self.overridden),
             "timeout": float(self.timeout),
-            "x": y.x,
-            "y": y.y,
             "psi": math.remainder(y.psi, 2.0 * math.pi),
-            "v": y.v,
             "r": y.r + self.rate_zero,
-            "beta": y.beta,
-            "a_y": y.a_y,
             "quality": 4.0,
             "stamp": round(t * 1e3) % 65536 * 1e-3,
-            **dict.fromkeys(("brake", "accelerator"), 0.0),
+            "brake": 0.0,
+            "accelerator": 0.0,
         }
         values |= {quantity: value for kind, (quantity, value) in _SAID.items() if self._fault(kind, t)}
         if self._fault("kit_fault", t):
@@ -253,17 +242,16 @@ class SimulatedCar:
         return next(acting, None)
 
     def _send(self) -> None:
-        values, t = self._values(), self.t
+        values = self._values()
         for reader in self.config.readers:
-            frame_id = reader.frame_id
-            pose = frame_id in self.config.pose_frames
+            pose = reader.frame_id in self.config.pose_frames
             period = reader.period or (STEP if pose else 2.0 * STEP)
             due, before = (math.floor(k * STEP / period + 1e-6) for k in (self.k, self.k - 1))
             for _ in range(due - before):
-                self._send_one(reader, values, t, "pose" if pose else "report")
+                self._send_one(reader, values, "pose" if pose else "report")
 
-    def _send_one(self, reader: FrameReader, values: dict[str, float], t: float, target: str) -> None:
-        frame_id = reader.frame_id
+    def _send_one(self, reader: FrameReader, values: dict[str, float], target: str) -> None:
+        t, frame_id = self.t, reader.frame_id
         if self._fault("stuck", t, target):
             values = self._stuck.setdefault(frame_id, values)
         else:
@@ -283,5 +271,4 @@ class SimulatedCar:
         if self._fault("drop", t, target):
             return
         delay = self._fault("delay", t, target)
-        self._order += 1
-        heapq.heappush(self._waiting, (t + (delay.amount or 0.2 if delay else 0.0), self._order, frame_id, data))
+        self._waiting.append((t + (delay.amount or 0.2 if delay else 0.0), frame_id, data))

@@ -72,69 +72,34 @@ def flag(*names: str, up: bool = True) -> Sense:
     return sense
 
 
-Frames = list[tuple[int, bytes, str]]
-
-
-def frames(*ids: int, change: Callable[[bytes], bytes] = bytes, kind: str = "", drop: bool = False) -> Any:
-    """Frames of these ids come changed, as another kind, or not at all."""
-
-    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
-        return [(i, change(d), kind or k) if i in ids else (i, d, k) for i, d, k in sent if not (drop and i in ids)]
-
-    return edit
+def frames(*ids: int, change: Callable[[bytes], bytes] = bytes, drop: bool = False) -> Any:
+    """Frames of these ids come changed, or not at all."""
+    return lambda drive, sent, since: [
+        (i, change(d) if i in ids else d, k) for i, d, k in sent if not (drop and i in ids)
+    ]
 
 
 def beside(*more: tuple[int, bytes, str], times: int = 1) -> Any:
     """Frames of another sender, after ours."""
-
-    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
-        return [*sent, *(list(more) * times)]
-
-    return edit
+    return lambda drive, sent, since: [*sent, *(list(more) * times)]
 
 
 def replaced(frame_id: int, kind: str) -> Any:
     """The true frame stays away; the last one before the onset comes again and again, as one of that kind."""
-
-    def edit(drive: Drive, sent: Frames, since: float) -> Frames:
-        return [(i, drive.frozen.setdefault(i, d), kind) if i == frame_id else (i, d, k) for i, d, k in sent]
-
-    return edit
+    return lambda drive, sent, since: [
+        (i, drive.frozen.setdefault(i, d), kind) if i == frame_id else (i, d, k) for i, d, k in sent
+    ]
 
 
-def order(name: str) -> Any:
-    """The operator presses a key once."""
+def once(what: Callable[[Drive], None]) -> Any:
+    """At the onset, and not again."""
 
     def act(drive: Drive, since: float) -> None:
-        if drive.frozen.setdefault("pressed", False) is False:
-            drive.frozen["pressed"] = True
-            drive.order(name)
+        if not drive.frozen.get(act):
+            drive.frozen[act] = True
+            what(drive)
 
     return act
-
-
-def silent(drive: Drive, since: float) -> None:
-    drive.beating = False
-
-
-def gone(drive: Drive, since: float) -> None:
-    if drive.beating:
-        drive.beating = False
-        drive.hang_up(2)
-
-
-def client_gone(drive: Drive, since: float) -> None:
-    if drive.controlling:
-        drive.controlling = False
-        drive.hang_up(1)
-
-
-def client_silent(drive: Drive, since: float) -> None:
-    drive.controlling = False
-
-
-def misses(drive: Drive, since: float) -> None:
-    drive.misses = int(since / 0.06)
 
 
 def one_more(drive: Drive, since: float) -> None:
@@ -157,11 +122,6 @@ def rogue_enable(drive: Drive, since: float) -> None:
     """After our end, somebody else keeps the kit enabled."""
     if drive.mode != "ENGAGED":
         drive.kit_enabled, drive.heard = True, drive.t
-
-
-def halting(drive: Drive, sent: Frames, since: float) -> Frames:
-    """Every other 50 ms without frames."""
-    return sent if since % 0.1 < 0.05 else []
 
 
 WEAK = wire.report(0.0, 0.0, 5.0, 0.0, {"ENABLED"})
@@ -331,11 +291,11 @@ def _client() -> Iterator[Attack]:
         Attack("request 1e9 rad", request=lambda d, a, t: 1e9),
         Attack("request 1e308 rad", request=lambda d, a, t: -1e308),
         Attack("request silent", request=lambda d, a, t: None),
-        Attack("client silent", act=client_silent),
-        Attack("client gone", act=client_gone),
+        Attack("client silent", act=lambda d, t: setattr(d, "controlling", False)),
+        Attack("client gone", act=once(lambda d: d.hang_up(1))),
         Attack("client asks from old data", request=asked_at(lambda d: d.onset)),
         Attack("client asks from the future", request=asked_at(lambda d: d.t + 1.0)),
-        Attack("client misses deadlines", act=misses),
+        Attack("client misses deadlines", act=lambda d, t: setattr(d, "misses", int(t / 0.06))),
         Attack("full lock left", request=lambda d, a, t: lock, **careful),
         Attack("full lock right", request=lambda d, a, t: -lock, **careful),
         Attack("full lock left, straight", request=lambda d, a, t: lock, where="straight", **careful),
@@ -351,12 +311,14 @@ def _client() -> Iterator[Attack]:
 
 def _people_and_bus() -> Iterator[Attack]:
     yield from [
-        Attack("heartbeat stops", act=silent),
-        Attack("the operator's terminal is gone", act=gone),
-        Attack("space bar", act=order("DISENGAGE")),
-        Attack("off", act=order("OFF")),
+        Attack("heartbeat stops", act=lambda d, t: setattr(d, "beating", False)),
+        Attack("the operator's terminal is gone", act=once(lambda d: d.hang_up(2))),
+        Attack("space bar", act=once(lambda d: d.order("DISENGAGE"))),
+        Attack("off", act=once(lambda d: d.order("OFF"))),
         Attack("bus silent", frames=lambda d, sent, t: []),
-        Attack("bus silent for 50 ms at a time", frames=halting, harmless=True),
+        Attack(
+            "bus silent for 50 ms at a time", frames=lambda d, sent, t: sent if t % 0.1 < 0.05 else [], harmless=True
+        ),
         Attack("a flood of other frames", frames=beside(JUNK, times=30), seconds=3.0, harmless=True),
         Attack("a flood of garbled lines", frames=beside((-1, b"T00", "bad"), times=3)),
         Attack(

@@ -14,7 +14,7 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from typing import Any
 
 from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core, Event, Frame, Link, Note, Output, Packet, Reply, Send, Tick
@@ -67,14 +67,6 @@ class Sensed:
     v_kit: float
     torque: float
     flags: set[str]
-
-
-class Steerer(Protocol):
-    """A client: from the last snapshot to the wheel it asks for [rad], None for nothing."""
-
-    def __call__(self, drive: Drive, snapshot: dict[str, float]) -> float | None:
-        """Twenty times a second."""
-        ...
 
 
 class OwnClient:
@@ -178,7 +170,8 @@ class Drive(Bench):
     attack: Attack
     speed: float = 5.0
     seed: int = 0
-    client: Steerer | None = None
+    client: Any = None
+    """From the last snapshot to the wheel that it asks for [rad], None for nothing; twenty times a second."""
     driver: Callable[[float, float, float, float, float], float] = stanley
     """Who steers while the product does not; as it may only be engaged where both want the same angle."""
     lead: float = 0.0
@@ -238,7 +231,11 @@ class Drive(Bench):
                 self.snapshot, self.answer = dict(zip(wire.SNAPSHOT, numbers)), data
 
     def hang_up(self, link: int) -> None:
-        """A client's line is cut."""
+        """A client is gone, and its line cut."""
+        if link == 1:
+            self.controlling = False
+        else:
+            self.beating = False
         self.handle(Link(self.t, link, False))
 
     def hear(self, angle: float, enable: bool, clear: bool) -> None:
@@ -317,7 +314,7 @@ class Drive(Bench):
             self.packet(2, wire.BEAT)
         if self.controlling and self.k % 10 == 5:
             self.packet(1, wire.QUERY)
-            asked = self.client(self, self.snapshot) if self.snapshot and self.client else None
+            asked = self.client(self, self.snapshot) if self.snapshot else None
             if since is not None and attack.request and asked is not None:
                 asked = attack.request(self, asked, since)
             if asked is not None:

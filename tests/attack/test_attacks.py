@@ -64,7 +64,7 @@ def test_without_an_attack_the_product_s_own_controllers_drive_on(controller: st
     drive = driven_by(controller, Attack("none", seconds=12.0), speed=5.0)
     assert math.isinf(drive.ended()), drive.cause()
     assert drive.excess() < 0.1
-    assert {"nfq": 1.0}.get(controller, math.nan) == pytest.approx(drive.client.learning, nan_ok=True)  # type: ignore[union-attr]
+    assert {"nfq": 1.0}.get(controller, math.nan) == pytest.approx(drive.client.learning, nan_ok=True)
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from steerkit.car import learner as on_car
 from steerkit.car import loop as loops
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
@@ -166,23 +163,3 @@ def test_only_policies_get_it() -> None:
     world = World(s=20.0)
     with pytest.raises(ValueError, match="expected a policy"):
         loops.car_loop(world.config, world.path, world, Away(), safe=True)
-
-
-@pytest.mark.parametrize(
-    ("reason", "learning", "engaged", "lost"),
-    [(RAISED, True, True, True), (0.0, True, True, False), (RAISED, False, True, False), (RAISED, True, False, False)],
-)
-def test_a_policy_whose_filter_failed_loses_the_wheel(
-    reason: float, learning: bool, engaged: bool, lost: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("steerkit.car.learner.filtered_in", lambda live: SimpleNamespace(reason=reason, share=0.0))
-    told: list[Any] = []
-    car = SimpleNamespace(
-        link=SimpleNamespace(note=told.append),
-        filter_faults=Counter(),
-        learner_state=SimpleNamespace(corrected=lambda share: False),
-    )
-    asked: Any = on_car.CarLearner._filtered
-    assert asked(car, None, learning=learning, engaged=engaged) is lost
-    assert len(told) == 1
-    assert sum(car.filter_faults.values()) == (reason == RAISED and engaged)

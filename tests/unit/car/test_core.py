@@ -355,7 +355,7 @@ def test_a_kit_that_stays_enabled_is_told_whatever_the_state(mode: Mode) -> None
     world = World()
     world.bring_to(mode)
     assert "not by us" not in world.query().text
-    world.car.commands, world.car.enabled = 0, True  # by somebody else, who goes on telling it
+    world.car.enabled = True  # by somebody else, who goes on telling it
     advance = world.car.advance
 
     def kept(t: float) -> list[tuple[float, int, bytes]]:
