@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import random
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -226,9 +225,8 @@ class Drive(Bench):
                 angle, enable, clear = wire.command(out.data)
                 self.sent.append((self.t, angle, enable))
                 self.hear(angle, enable, clear)
-            case Reply(data=data) if data[:1] == b"S":
-                numbers = struct.unpack_from(f"<{len(wire.SNAPSHOT)}d", data, 1)
-                self.snapshot, self.answer = dict(zip(wire.SNAPSHOT, numbers)), data
+            case Reply(data=data) if known := wire.snapshot(data):
+                self.snapshot, self.answer = known, data
 
     def hang_up(self, link: int) -> None:
         """A client is gone, and its line cut."""

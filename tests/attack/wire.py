@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 
@@ -74,15 +75,19 @@ def command(data: bytes) -> tuple[float, bool, bool]:
     return math.radians(tenths / 10.0), bool(data[2] & 1), bool(data[2] & 2)
 
 
-HELLO = {True: b"H\1\3", False: b"H\0\3"}
+HELLO = {True: b'["Hello", true, 4, ""]', False: b'["Hello", false, 4, ""]'}
 """By whether it is the controller's."""
-ORDERS = {name: bytes([ord("O"), i]) for i, name in enumerate(("ARM", "ENGAGE", "DISENGAGE", "ACKNOWLEDGE", "OFF"))}
-QUERY, BEAT = b"Q", b"B"
-MODES = ("OFF", "STANDBY", "READY", "ENGAGED", "OVERRIDE", "FAULT")
+ORDERS = {name: f'["Command", "{name}"]'.encode() for name in ("ARM", "ENGAGE", "DISENGAGE", "ACKNOWLEDGE", "OFF")}
+QUERY, BEAT = b'["Query"]', b'["Beat"]'
 _KNOWN = "t x y psi v beta r a_y delta_sw v_kit torque e psi_e command report_age pose_age request_age errors"
-SNAPSHOT = (*_KNOWN.split(), "frames_sent", "places")
 
 
 def asked(basis: float, angle: float, misses: int) -> bytes:
     """A client's request: the time of the snapshot behind it [s], an angle [rad], missed deadlines."""
-    return struct.pack("<cddI", b"R", basis, angle, misses)
+    return json.dumps(["Request", basis, angle, misses]).encode()
+
+
+def snapshot(data: bytes) -> dict[str, float]:
+    """What the car server says that it knows; nothing, if it says something else."""
+    kind, *values = json.loads(data)
+    return dict(zip(_KNOWN.split(), values)) if kind == "Snapshot" else {}
