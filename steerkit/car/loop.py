@@ -306,7 +306,9 @@ def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailS
     """The safety filter before the gate of `config`."""
     budget = None if clock is None else BUDGET
     return FailSafe(
-        block=make_safety(design_model_of(config), GateModel(limits=config.gate)), budget=budget, clock=clock
+        block=make_safety(design_model_of(config), GateModel(limits=config.gate)),
+        budget=budget,
+        clock=clock or time.perf_counter,
     )
 
 

@@ -188,10 +188,7 @@ class Adaptive(Block):
         """The outputs of the controller with the larger share."""
         pick = share > 0.5
         return type(y)(
-            *[
-                tuple(m.where(pick, p, q) for p, q in zip(a, b)) if isinstance(a, tuple) else m.where(pick, a, b)
-                for a, b in zip(y, other)
-            ]
+            *[m.chosen(pick, a, b) if isinstance(a, tuple) else m.where(pick, a, b) for a, b in zip(y, other)]
         )
 
     def _seen(self, block: Block, ports: Any, u: Any, ratio: Scalar) -> Any:

@@ -12,7 +12,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, entries_of
 from steerkit.diagram.maths import Scalar
 from steerkit.task import DT
-from steerkit.vehicles import Vehicle, require_vehicle
+from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import Motion, Rollout
 
 _TRUST = 0.1
@@ -60,7 +60,7 @@ class DelayPredictor(Block):
     model: Rollout = field(default_factory=Rollout)
     """The car and its steering as they are believed: delay, lag, geometry, tyres."""
     preview_points: int = number(1, "1", low=1)
-    """Entries of the preview; model.lookahead/preview_dt + 2 or more see the whole way."""
+    """Entries of the preview; model.lookahead/dt + 2 or more see the whole way."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -70,7 +70,11 @@ class DelayPredictor(Block):
         require(not missing, where, f"{needs}; predicted are {', '.join(sorted(have))}")
         gives = [p.name for p in self.block.outputs]
         require(gives == ["delta_sw"], where, f"block with outputs {gives}, expected delta_sw only")
-        for of, dt in (("the wrapped block", self.block.dt), ("the model", self.model.dt)):
+        for of, dt in (
+            ("the wrapped block", self.block.dt),
+            ("the model", self.model.dt),
+            ("its preview", self.model.preview_dt),
+        ):
             require(self.dt == dt, where, f"dt = {self.dt} s, but {of} has {dt} s")
 
     @classmethod
@@ -79,7 +83,6 @@ class DelayPredictor(Block):
 
         steering: rate_limit [rad/s]; slew [m/s^3] and a_y_limit [m/s^2] of a car that is steered by torque, or None.
         """
-        require_vehicle(vehicle, "DelayPredictor.around")
         steering = {name: value for name, value in steering.items() if value is not None}
         where, dt = getattr(block, "reference", 0.0), block.dt
         model = Rollout.of(vehicle, delay=delay, lag=lag, reference=where, dt=dt, preview_dt=dt, **steering)
@@ -89,11 +92,6 @@ class DelayPredictor(Block):
     def reference(self) -> Scalar:
         """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
         return self.model.reference
-
-    @property
-    def preview_dt(self) -> float:
-        """Time between two entries of the preview [s]."""
-        return self.model.preview_dt
 
     @property
     def rate_limit(self) -> Scalar:
@@ -160,21 +158,14 @@ class DelayPredictor(Block):
 
 
 def delayed_stanley(
-    vehicle: Vehicle,
-    *,
-    delay: float,
-    lag: float,
-    rate_limit: Scalar = Rollout.rate_limit,
-    slew: float | None = None,
-    a_y_limit: float | None = None,
-    dt: float = DT,
+    vehicle: Vehicle, *, delay: float, lag: float, dt: float = DT, **steering: float | None
 ) -> DelayPredictor:
     """Stanley for a steering delay and lag [s], 0 to 0.3 s and about 0.1 s: predicted, with gains tuned for that.
 
     The gains are what `python -m benchmarks study tune_stanley` chose: with the prediction, damping only costs.
-    rate_limit [rad/s]: of the wheel. slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; else None.
+    steering: as of `DelayPredictor.around`.
     """
-    gains: dict[str, float] = dict(k=3.0, k_d_yaw=0.0, k_d_steer=0.0, share=1.0 if slew is None else _SHARE_OF_TORQUE)
-    steering: dict[str, Any] = dict(rate_limit=rate_limit, slew=slew, a_y_limit=a_y_limit)
-    law = replace(Stanley.of(vehicle, dt=dt), **gains, **steering)
+    share = 1.0 if steering.get("slew") is None else _SHARE_OF_TORQUE
+    changes: dict[str, Any] = dict(k=3.0, k_d_yaw=0.0, k_d_steer=0.0, share=share, **steering)
+    law = replace(Stanley.of(vehicle, dt=dt), **changes)
     return DelayPredictor.around(law, vehicle, delay=delay, lag=lag, **steering)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from steerkit._support.errors import number, require
 from steerkit.controllers.safety_filter import REASONS
+from steerkit.controllers.supervisor import Guard
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import In, State
-from steerkit.diagram.wrapper import Wrapper
+from steerkit.diagram.block import In
 
 RAISED, LATE, NOTHING = (float(len(REASONS) + n) for n in range(3))
 """What `reason` is when the recovery controller steers in the filter's place."""
@@ -31,7 +32,7 @@ def said(reason: float) -> str:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FailSafe(Wrapper):
+class FailSafe(Guard):
     """Wraps a `SafetyFilter` so that the recovery controller steers where the filter fails.
 
         delta_sw = recovery     if the filter raises, takes longer than `budget`, or its command is not finite
@@ -44,30 +45,27 @@ class FailSafe(Wrapper):
 
     Inputs: those of `block`, and recovery [rad]. Outputs, state and sample time: those of `block`. A NaN in `recovery`
     goes through; the gate before a bus refuses it. An exception while a loop is traced goes through too.
-    Raises ValueError for a block without the outputs of a filter, or a budget without a clock.
+    Raises ValueError for a block without the outputs of a filter.
     """
 
     recovery = In("rad")
 
     budget: float | None = number(None, "s", above=0.0)
     """An answer that took longer is not used [s]; None: any may."""
-    clock: Callable[[], float] | None = None
+    clock: Callable[[], float] = time.perf_counter
     """Seconds, for the budget."""
 
     def __post_init__(self) -> None:
         where, outputs = "FailSafe", {port.name for port in self.block.outputs}
         wanted = {"delta_sw", "correction", "share", "reach", "reason"}
         require(outputs == wanted, where, f"block with outputs {', '.join(sorted(outputs))}, expected a SafetyFilter")
-        timed = self.budget is None or self.clock is not None
-        require(timed, where, f"budget = {self.budget} [s] needs a clock")
         super().__post_init__()
 
     def seen(self, u: Any) -> Any:
         return self.block.U(*u[:-1])
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        timed = self.budget is not None and self.clock is not None
-        began = self.clock() if timed and self.clock else 0.0
+        began = self.clock()
         try:
             y = self.inner_output(t, x, u)
         except Exception:
@@ -75,7 +73,7 @@ class FailSafe(Wrapper):
                 raise
             logging.getLogger("steerkit").exception("safety filter at t = %s s: %s", t, FAULTS[RAISED])
             return self._instead(u, RAISED, math.nan)
-        taken = self.clock() - began if timed and self.clock else 0.0
+        taken = self.clock() - began
         if self.budget is not None and taken > self.budget:
             logging.getLogger("steerkit").error(
                 "safety filter at t = %s s: %s, %.1f ms of %.1f ms", t, FAULTS[LATE], 1e3 * taken, 1e3 * self.budget
@@ -90,12 +88,3 @@ class FailSafe(Wrapper):
     def _instead(self, u: Any, reason: float, reach: Any) -> Any:
         values = {"delta_sw": u.recovery, "correction": u.recovery - u.command, "share": 1.0, "reach": reach}
         return self.Y(**values, reason=reason)
-
-    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
-        try:
-            return super().update(t, x, u, y)
-        except Exception:
-            if m.is_symbol(t):
-                raise
-            logging.getLogger("steerkit").exception("safety filter at t = %s s: its state is as it was", t)
-            return x

@@ -238,11 +238,6 @@ class Lqr(LimitedLaw):
             dt=dt,
         )
 
-    @property
-    def preview_dt(self) -> float:
-        """Time between the curvatures ahead [s]."""
-        return self.dt
-
     @cached_property
     def _waiting(self) -> int:
         return int(self.table.rows.shape[1] - _MOTION - self.preview_points)

@@ -17,7 +17,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, without_port
 from steerkit.diagram.maths import Scalar
 from steerkit.task import TRIP
-from steerkit.vehicles import Vehicle, require_vehicle
+from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import GateModel, Motion, Rollout, lag_share, lag_step, slewed
 
 REASONS = (
@@ -185,7 +185,6 @@ class SafetyFilter(Block):
 
         settings: any other fields.
         """
-        require_vehicle(vehicle, "SafetyFilter.of")
         law = replace(Stanley.of(vehicle), rate_limit=rate_limit)
         steering = dict(delay=delay, lag=lag, rate_limit=rate_limit)
         return cls(backup=DelayPredictor.around(law, vehicle, **steering), **settings)

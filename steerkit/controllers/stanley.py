@@ -82,7 +82,8 @@ class Stanley(LimitedLaw):
     @classmethod
     def of(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:
         """The controller with geometry, mass, stiffness, ratio and stop of a `Vehicle`."""
-        return cls(mass=vehicle.m, c_f=vehicle.c_f, dt=dt, **cls.geometry(vehicle, "Stanley.of"))
+        geometry = cls.geometry(vehicle, "Stanley.of")
+        return cls(mass=vehicle.m, c_f=vehicle.c_f, dt=dt, **geometry)
 
     @classmethod
     def textbook(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:

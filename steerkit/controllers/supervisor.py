@@ -84,7 +84,24 @@ class Supervisor(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ExceptionGuard(Wrapper):
+class Guard(Wrapper):
+    """Abstract base of a block around one that may raise: where its `update` does, that is logged and the state stays.
+
+    The logger is `steerkit`. What is raised while a loop is traced goes through.
+    """
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+        try:
+            return super().update(t, x, u, y)
+        except Exception:
+            if m.is_symbol(t):  # a block that cannot be traced is no fault of a drive
+                raise
+            logging.getLogger("steerkit").exception("%s.update failed at t = %s s", type(self.block).__name__, t)
+            return x
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ExceptionGuard(Guard):
     """Wraps a block so that an exception in it becomes NaN on all its outputs, which a `Supervisor` answers.
 
     Ports, units, state and sample time are those of `block`. The exception is logged, with its traceback, on the
@@ -96,17 +113,8 @@ class ExceptionGuard(Wrapper):
         try:
             return self.inner_output(t, x, u)
         except Exception:
-            if m.is_symbol(t):  # a block that cannot be traced is no fault of a drive
+            if m.is_symbol(t):
                 raise
             logging.getLogger("steerkit").exception("%s.output failed at t = %s s", type(self.block).__name__, t)
             sizes = [Port(self, out).size for out in self.outputs]
             return self.Y(*[math.nan if n is None else (math.nan,) * n for n in sizes])
-
-    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
-        try:
-            return super().update(t, x, u, y)
-        except Exception:
-            if m.is_symbol(t):
-                raise
-            logging.getLogger("steerkit").exception("%s.update failed at t = %s s", type(self.block).__name__, t)
-            return x

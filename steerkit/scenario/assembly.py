@@ -276,7 +276,7 @@ class _Bench:
         points = getattr(asks, "preview_points", 0)
         if reference != tracker.reference or points:
             role = next(name for name, b in self.blocks.items() if b is block)
-            preview = {"preview_points": points, "preview_dt": asks.preview_dt} if points else {}
+            preview = {"preview_points": points, "preview_dt": getattr(asks, "preview_dt", asks.dt)} if points else {}
             tracker = self.add(f"{role}_path", PathTracker(path=self.path, reference=reference, dt=block.dt, **preview))
             self.join(tracker, seen)
         for name in _names(block.inputs):

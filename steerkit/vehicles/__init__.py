@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 
-from steerkit.vehicles.file import read_vehicle, vehicle_of
+from steerkit.vehicles.file import text_of, vehicle_of
 from steerkit.vehicles.fleet import FleetCar, drawn_car, drawn_number, fleet
 from steerkit.vehicles.parameters import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, G, Vehicle, require_vehicle, scaled
 
@@ -33,7 +33,7 @@ def vehicle(name: str) -> Vehicle:
     ValueError otherwise, with the nearest name.
     """
     if name.endswith(".toml"):
-        return read_vehicle(name)
+        return vehicle_of(text_of(name), name)
     key = name.strip().lower().replace("_", "-").replace(" ", "-")
     if key in VEHICLES:
         return VEHICLES[key]

@@ -16,13 +16,8 @@ from steerkit.vehicles.parameters import Vehicle
 FORMAT = "steerkit vehicle 1"
 
 
-def read_vehicle(file: str | Path) -> Vehicle:
-    """The car in a vehicle file; raises ValueError naming the file, the key and what is valid."""
-    return vehicle_of(text_of(file), f"{file}")
-
-
 def vehicle_of(text: str, where: str) -> Vehicle:
-    """The car in the text of a vehicle file; `where` is what errors call it."""
+    """The car in the text of a vehicle file; raises ValueError naming `where`, the key and what is valid."""
     table = table_of(text, "vehicle", where)
     valid = {f.name for f in dataclasses.fields(Vehicle)}
     needed = {f.name for f in dataclasses.fields(Vehicle) if f.default is dataclasses.MISSING}

@@ -13,7 +13,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.task import A_Y_MAX, DT, JERK_MAX, STOP
-from steerkit.vehicles.parameters import Vehicle
+from steerkit.vehicles.parameters import Vehicle, require_vehicle
 
 SLOWEST = 0.5
 """Speed [m/s] below which bounds and poles that grow as the car slows down stay as they are."""
@@ -81,6 +81,7 @@ class Rollout:
     @classmethod
     def of(cls, vehicle: Vehicle, **settings: float | None) -> Rollout:
         """With geometry, tyres and ratio of a `Vehicle`; settings: any other fields."""
+        require_vehicle(vehicle, "Rollout.of")
         L = vehicle.wheelbase
         return cls(
             wheelbase=L,

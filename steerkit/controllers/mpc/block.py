@@ -20,7 +20,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.units import radians_of
-from steerkit.task import DT, STOP, TRIP
+from steerkit.task import STOP, TRIP
 from steerkit.vehicles.rollout import on_their_way, slewed
 
 SOLVED, PLAN, FALLBACK, HELD = 0.0, 1.0, 2.0, 3.0
@@ -135,8 +135,6 @@ class PredictiveSteering(Block):
     """Seconds, for milliseconds and the budget; None: no time is taken."""
     preview_points: int = field(init=False, default=0)
     """Entries of the preview: over the delay and the horizon."""
-    preview_dt: float = field(init=False, default=DT)
-    """Time between them [s]: dt."""
 
     class X(NamedTuple):
         """What `State` holds, unpacked: commands on their way, oldest first; planned rates; samples since solved."""
@@ -150,7 +148,6 @@ class PredictiveSteering(Block):
         timed = self.budget is None or self.clock is not None
         require(timed, type(self).__name__, f"budget = {self.budget} [s] needs a clock")
         object.__setattr__(self, "preview_points", math.ceil(_PACE * (len(self.spans) + self.horizon)) + 1)
-        object.__setattr__(self, "preview_dt", self.dt)
 
     @classmethod
     def of(cls, car: Any, actuator: Any = None, **settings: Any) -> Self:

@@ -69,15 +69,6 @@ def test_the_ratio_is_in_the_command_and_taken_off_the_measured_wheel() -> None:
     assert abs(asked(replace(block, limit=0.01), x)) == 0.01
 
 
-def test_a_belief_follows_a_valid_estimate_no_faster_than_stated_and_within_bounds() -> None:
-    block = adaptive()
-    assert block._followed(0.0, 0.3, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.005)
-    assert block._followed(0.098, 0.3, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.1)
-    assert block._followed(0.05, 0.0499, 1.0, 0.1, (0.0, 0.1)) == pytest.approx(0.0499)
-    assert block._followed(0.05, 0.3, 0.0, 0.1, (0.0, 0.1)) == 0.05
-    assert block._followed(0.05, math.nan, 1.0, 0.1, (0.0, 0.1)) == 0.05
-
-
 @pytest.mark.parametrize("valid", [1.0, 0.0])
 def test_beliefs_move_by_half_a_second_a_second_and_a_tenth_towards_valid_estimates(
     valid: float, monkeypatch: pytest.MonkeyPatch

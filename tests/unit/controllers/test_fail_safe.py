@@ -130,7 +130,6 @@ def test_what_raises_while_a_loop_is_traced_goes_through() -> None:
     [
         ({"block": Stanley.of(PASSAT)}, "block with outputs delta_sw, expected a SafetyFilter"),
         ({"block": ExceptionGuard(block=Stanley.of(PASSAT))}, "expected a SafetyFilter"),
-        ({"budget": 0.03}, "needs a clock"),
     ],
 )
 def test_what_cannot_be_is_refused(settings: dict[str, Any], told: str) -> None:

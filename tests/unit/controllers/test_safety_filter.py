@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from steerkit.compiled import compile
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.offset_free import CommandCompensation
 from steerkit.controllers.safety_filter import _KEPT, BEHIND_GATE, REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
-from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.wrapper import Wrapper
 from steerkit.scenario import Scenario
@@ -215,11 +213,6 @@ def behind_gate(**limits: float) -> SafetyFilter:
     return SafetyFilter.of(PASSAT, delay=0.05, gate=GateModel(limits=GateLimits(**limits)), **BEHIND_GATE)
 
 
-def test_only_behind_a_gate_it_has_the_input_applied() -> None:
-    assert "applied" not in {port.name for port in SafetyFilter.of(PASSAT).inputs}
-    assert [port.name for port in behind_gate().inputs][-1] == "applied"
-
-
 def test_the_slower_the_gate_the_further_and_a_command_within_it_is_left_to_it() -> None:
     turning = dict(command=2.0, delta_sw_meas=0.6, applied=0.6, e=0.05, v=8.0)
     reaches = [asked(behind_gate(jerk_max=jerk), **turning).reach for jerk in (10.0, 6.0, 4.0)]
@@ -300,24 +293,6 @@ def test_several_steps_correct_more_calmly_than_one() -> None:
         return float(np.sqrt(np.mean(np.diff(log["safety.correction"][60:]) ** 2)))
 
     assert chatter(1) > 4.0 * chatter(8)
-
-
-@cache
-def small() -> tuple[Loop, Log]:
-    """A loop with a filter that looks ahead a short way, which is translated quickly, and what it does in 4 s."""
-    scenario = Scenario.under("hard", course="paper")
-    block = SafetyFilter.of(scenario.design_model().vehicle, delay=0.05, horizon=0.35, hold=1, halvings=1)
-    loop = assembled(scenario, Adversary(kind="away"), safety=block)
-    return loop, simulate(loop, 4.0, every=5)
-
-
-@pytest.mark.parametrize("backend", ["python", "c"])
-def test_compiled_it_is_the_same(backend: Any) -> None:
-    loop, reference = small()
-    log = compile(loop, backend=backend, every=5).run(4.0)
-    for name in ("safety.delta_sw", "safety.share", "safety.reach", "safety.reason", "path.e"):
-        np.testing.assert_allclose(log[name], reference[name], rtol=0.0, atol=1e-11)
-    assert len(set(reference["safety.reason"])) > 1
 
 
 @pytest.mark.parametrize(

@@ -17,85 +17,67 @@ from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import radians_of
-from steerkit.doe import Integrator, LowPass
+from steerkit.doe import Integrator
 from tests.support.parts import Script
 from tests.support.ranges import keeps_range
 
-ON = [1.0]
+ON = (1.0,)
 
 
-def drive(e: list[float], learner: list[float], ready: list[float] = ON, recovery: list[float] | None = None) -> Log:
-    """The supervisor's answers to signals written down sample by sample; recovery steers 3 rad unless told."""
-    supervisor = Supervisor()
-    scripts = {
-        "e": Script(values=tuple(e)),
-        "learner": Script(values=tuple(learner)),
-        "recovery": Script(values=tuple(recovery or [3.0])),
-        "ready": Script(values=tuple(ready)),
-    }
-    wires = [
-        (scripts["e"].length, supervisor.e),
-        (scripts["learner"].angle, supervisor.learner),
-        (scripts["recovery"].angle, supervisor.recovery),
-        (scripts["ready"].flag, supervisor.ready),
-    ]
-    loop = Loop(blocks={**scripts, "supervisor": supervisor}, wires=wires)
-    n = max(map(len, (e, learner, ready)))
+def drive(e: Any = (0.0,), learner: Any = ON, ready: Any = ON, recovery: Any = (3.0,)) -> Log:
+    """The supervisor's answers to signals written down sample by sample, each of which holds its last value."""
+    supervisor, signals = Supervisor(), dict(e=e, learner=learner, recovery=recovery, ready=ready)
+    scripts = {name: Script(values=tuple(map(float, values))) for name, values in signals.items()}
+    ports = dict(e="length", learner="angle", recovery="angle", ready="flag")
+    wires = [(getattr(scripts[name], port), getattr(supervisor, name)) for name, port in ports.items()]
     record = [f"supervisor.{name}" for name in ("delta_sw", "learning", "tripped", "fault")]
-    return simulate(loop, n * 0.05, record=record, allow_nonfinite=True)
+    loop = Loop(blocks={**scripts, "supervisor": supervisor}, wires=wires)
+    return simulate(loop, max(map(len, (e, learner, ready))) * 0.05, record=record, allow_nonfinite=True)
 
 
-def test_trip_at_half_a_metre_release_at_ten_centimetres() -> None:
-    log = drive(e=[0.3, 0.10, 0.09, 0.4, -0.5, -0.51, -0.2, 0.1, -0.099], learner=[1.0])
-    assert log["supervisor.learning"].tolist() == [0, 0, 1, 1, 1, 0, 0, 0, 1]
-    assert log["supervisor.tripped"].tolist() == [0, 0, 0, 0, 0, 1, 0, 0, 0]
-    assert log["supervisor.delta_sw"].tolist() == [3, 3, 1, 1, 1, 3, 3, 3, 1]
-    assert not log["supervisor.fault"].any()
+NAN = math.nan
+LOCK, MORE = radians_of(520.0), radians_of(521.0)
+LATCHED = dict(learning=[1, 1, 0, 0, 0, 0, 1], fault=[0, 0, 1, 1, 1, 0, 0], tripped=[0] * 7)
 
 
-def test_the_learner_waits_until_it_is_ready_and_gives_up_when_it_is_not() -> None:
-    log = drive(e=[0.0], learner=[1.0], ready=[0.0, 0.0, 1.0, 1.0, 0.0, 1.0])
-    assert log["supervisor.learning"].tolist() == [0, 0, 1, 1, 0, 1]
-    assert not log["supervisor.tripped"].any()
-
-
-@pytest.mark.parametrize("fault", [math.nan, math.inf, -math.inf, radians_of(521.0), -radians_of(521.0)])
-def test_a_fault_takes_the_wheel_at_once_and_is_latched_until_the_learner_was_not_ready(fault: float) -> None:
-    log = drive(e=[0.0], learner=[1.0, 1.0, fault, 1.0, 1.0, 1.0, 1.0], ready=[1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
-    assert log["supervisor.learning"].tolist() == [1, 1, 0, 0, 0, 0, 1]
-    assert log["supervisor.fault"].tolist() == [0, 0, 1, 1, 1, 0, 0]
-    assert log["supervisor.delta_sw"].tolist() == [1, 1, 3, 3, 3, 3, 1]
-    assert not log["supervisor.tripped"].any()
-
-
-def test_a_learner_that_cannot_say_whether_it_is_ready_is_faulty() -> None:
-    ready = [1.0, math.nan, 1.0, 0.0, 1.0]
-    log = drive(e=[0.0], learner=[1.0, math.nan, 1.0, 1.0, 1.0], ready=ready)
-    assert log["supervisor.learning"].tolist() == [1, 0, 0, 0, 1]
-    assert log["supervisor.fault"].tolist() == [0, 1, 1, 0, 0]
-    assert drive(e=[0.0], learner=[1.0], ready=[math.nan])["supervisor.fault"].tolist() == [1]
-
-
-def test_a_fault_while_waiting_is_a_fault() -> None:
-    log = drive(e=[0.3, 0.3, 0.0], learner=[math.nan, 1.0])
-    assert log["supervisor.learning"].tolist() == [0, 0, 0]
-    assert log["supervisor.fault"].tolist() == [1, 1, 1]
-
-
-def test_the_full_lock_itself_is_no_fault() -> None:
-    assert drive(e=[0.0], learner=[radians_of(520.0), -radians_of(520.0)])["supervisor.learning"].tolist() == [1, 1]
-
-
-def test_a_lost_position_takes_the_wheel() -> None:
-    log = drive(e=[0.0, math.nan, math.nan, 0.2, 0.0], learner=[1.0])
-    assert log["supervisor.learning"].tolist() == [1, 0, 0, 0, 1]
-    assert log["supervisor.tripped"].tolist() == [0, 1, 0, 0, 0]
+@pytest.mark.parametrize(
+    ("given", "answers"),
+    [
+        (  # trip at half a metre, release at ten centimetres
+            dict(e=[0.3, 0.10, 0.09, 0.4, -0.5, -0.51, -0.2, 0.1, -0.099]),
+            dict(learning=[0, 0, 1, 1, 1, 0, 0, 0, 1], tripped=[0, 0, 0, 0, 0, 1, 0, 0, 0], fault=[0] * 9),
+        ),
+        (  # it waits until it is ready and gives up when it is not
+            dict(ready=[0, 0, 1, 1, 0, 1]),
+            dict(learning=[0, 0, 1, 1, 0, 1], tripped=[0] * 6),
+        ),
+        *[  # a fault takes the wheel at once and is latched until the learner was not ready
+            (dict(learner=[1.0, 1.0, bad, 1.0, 1.0, 1.0, 1.0], ready=[1, 1, 1, 1, 1, 0, 1]), LATCHED)
+            for bad in (NAN, math.inf, -math.inf, MORE, -MORE)
+        ],
+        (  # one that cannot say whether it is ready is faulty
+            dict(learner=[1.0, NAN, 1.0, 1.0, 1.0], ready=[1, NAN, 1, 0, 1]),
+            dict(learning=[1, 0, 0, 0, 1], fault=[0, 1, 1, 0, 0]),
+        ),
+        (dict(ready=[NAN]), dict(fault=[1])),
+        (dict(e=[0.3, 0.3, 0.0], learner=[NAN, 1.0]), dict(learning=[0, 0, 0], fault=[1, 1, 1])),  # while waiting
+        (dict(learner=[LOCK, -LOCK]), dict(learning=[1, 1])),  # the full lock itself is none
+        (  # a lost position takes the wheel
+            dict(e=[0.0, NAN, NAN, 0.2, 0.0]),
+            dict(learning=[1, 0, 0, 0, 1], tripped=[0, 1, 0, 0, 0]),
+        ),
+    ],
+)
+def test_who_steers(given: dict[str, list[float]], answers: dict[str, list[int]]) -> None:
+    log = drive(**given)
+    for name, expected in answers.items():
+        assert log[f"supervisor.{name}"].tolist() == expected, name
+    learner = np.resize(given.get("learner", ON), len(log.t))
+    assert log["supervisor.delta_sw"].tolist() == np.where(log["supervisor.learning"] > 0.5, learner, 3.0).tolist()
 
 
 def test_a_broken_recovery_is_not_hidden_while_it_steers() -> None:
-    log = drive(e=[0.3, 0.0], learner=[1.0], recovery=[math.nan])
-    assert math.isnan(log["supervisor.delta_sw"][0])
-    assert log["supervisor.delta_sw"][1] == 1.0
+    assert math.isnan(drive(e=[0.3, 0.0], recovery=[NAN])["supervisor.delta_sw"][0])
 
 
 @given(
@@ -162,13 +144,6 @@ def test_at_hand_over_the_wheel_moves_by_one_action_and_does_not_jump() -> None:
     assert log["supervisor.delta_sw"][2] == angle
     assert jumps[2:] == pytest.approx([action] * 3)
     assert log["doe.state"][3] == angle
-
-
-def test_a_low_pass_starts_from_the_angle_applied() -> None:
-    angle = radians_of(96.0)
-    log, jumps = handed_over(LowPass(), [0.3, 0.3, 0.05, 0.0], actions=[0.0], recovery=[angle])
-    assert jumps[1] == pytest.approx(angle * math.expm1(-0.05 / 0.3))
-    assert log["supervisor.learning"][2] == 1.0
 
 
 @settings(max_examples=50)
