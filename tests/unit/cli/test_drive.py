@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from steerkit._support.console import console
-from steerkit.cli import demo
 from steerkit.cli import drive as command
 from steerkit.diagram.simulation import simulate
-from steerkit.learning import report
-from steerkit.learning.experiment import Experiment
-from steerkit.learning.learner_state import Counts
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.catalogue import CONTROLLERS
@@ -90,36 +84,6 @@ def test_the_options_of_a_drive_are_heard(tmp_path: Path, cli: Any, heard: list[
         cli("drive", "lqr", "--scenario", tmp_path / "mine.toml", *given, "-q", "--out", tmp_path)
         steering, sensors = heard[-1]["scenario"].steering, heard[-1]["scenario"].sensors
         assert (steering.delay, steering.lag, sensors.noise) == (0.03, lag, noise)
-
-
-def test_the_output_element_of_a_learned_drive_ends_at_the_cars_stops(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "car.toml").write_text(vehicle_text(replace(VEHICLES["bmw-320i"], delta_sw_max=9.9)))
-    scenario = Scenario(vehicle=str(tmp_path / "car.toml"))
-    limits = []
-
-    class Seen(Exception):
-        pass
-
-    def driven(scenario: Scenario, policy: Any, *, doe: Any, **options: Any) -> Any:
-        limits.append(doe.limit)
-        raise Seen
-
-    run = SimpleNamespace(experiment=Experiment(scenario=scenario), t=0.0, counts=Counts(), transitions=())
-    monkeypatch.setattr(evaluate, "drive", driven)
-    monkeypatch.setattr(report.rundir, "final_policy", lambda place, updates=None: None)
-    monkeypatch.setattr(report.rundir, "experiment_of", lambda place: run.experiment)
-    monkeypatch.setattr(report.rundir, "load", lambda place: run)
-    monkeypatch.setattr(demo, "learn", lambda *words, **options: run)
-    for test_drive in (
-        lambda: report.show(tmp_path),
-        lambda: command.driven([str(tmp_path)], scenario, tmp_path, rounds=None, seed=0),
-        lambda: demo._part(("a", run.experiment, tmp_path, 0, None)),
-    ):
-        with pytest.raises(Seen):
-            test_drive()
-    assert limits == [9.9, 9.9, 9.9]
 
 
 def test_several_controllers_are_one_table_one_picture_and_a_log_each(

@@ -115,18 +115,6 @@ def test_with_a_filter_no_agent_fails() -> None:
     assert 0.2 < worst < 0.5
 
 
-def test_many_cars_have_a_filter_each() -> None:
-    envs = gymnasium.make_vec(ID, num_envs=3, backend="python", conditions="hard", actions="continuous", safe=True)
-    one = gymnasium.make(ID, conditions="hard", actions="continuous", safe=True)
-    envs.reset(seed=4)
-    one.reset(seed=5)
-    for _ in range(30):
-        *_, infos = envs.step(np.ones((3, 1), dtype=np.float32))
-        *_, info = one.step(np.ones(1, dtype=np.float32))
-    assert infos["correction"][1] == pytest.approx(info["correction"], abs=1e-9)
-    assert np.abs(infos["e"]).max() < 0.5
-
-
 def test_a_filter_needs_to_be_told_of_the_car() -> None:
     with pytest.raises(ValueError, match="safe needs a Scenario"):
         gymnasium.make(ID, scenario=object(), safe=True)

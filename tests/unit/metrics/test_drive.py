@@ -41,13 +41,6 @@ def test_a_log_is_summed_up_by_its_names() -> None:
     assert metrics.of_log(Log(d["t"], signals, dict.fromkeys(signals, "m"))) == metrics.summary(**d)
 
 
-def test_a_nan_is_not_averaged_away() -> None:
-    e = np.append(np.zeros(400), math.nan)
-    s = metrics.summary(**drive(e=e))
-    assert math.isnan(s.rms_e)
-    assert math.isnan(s.max_e)
-
-
 @pytest.mark.parametrize(("name", "bound"), [("max_e", 0.25), ("rms_e", 0.10), ("max_jerk", 5.0)])
 def test_good_is_a_drive_within_each_of_the_bounds(name: str, bound: float) -> None:
     zero = metrics.summary(**drive(e=np.zeros(401)))

@@ -45,16 +45,6 @@ def test_reversals_refuse_what_they_cannot_count(t: Any, options: dict[str, floa
         metrics.reversal_rate(t, np.zeros(len(t)), **options)
 
 
-def test_a_jump_of_the_wheel_is_one_rate_and_two_accelerations() -> None:
-    """From 0 to D in one sample: a rate of D/dt once; up by D/dt^2 and down again."""
-    step = np.where(T < 50.0, 0.0, 0.2)
-    rate, acceleration = metrics.rates(T, step), metrics.accelerations(T, step)
-    assert rate[rate != 0.0] == pytest.approx([0.2 / 0.05])
-    assert acceleration[np.abs(acceleration) > 1e-9] == pytest.approx([0.2 / 0.05**2, -0.2 / 0.05**2])
-    assert metrics.rms(rate) == pytest.approx(0.2 / 0.05 / math.sqrt(len(T) - 1))
-    assert metrics.rms(acceleration) == pytest.approx(0.2 / 0.05**2 * math.sqrt(2.0 / (len(T) - 2)))
-
-
 @pytest.mark.parametrize("times", [1, 2, 3, 4, 7])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_wheel_that_jumps_there_and_back_is_counted_each_way(times: int, side: float) -> None:

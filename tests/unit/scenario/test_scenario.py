@@ -258,22 +258,11 @@ def test_a_scenario_comes_back_with_its_files(tmp_path: FilePath, monkeypatch: p
 
 
 @settings(max_examples=50)
-@given(
-    lag=st.floats(0.0, 10.0),
-    v_min=st.floats(0.2, 7.0),
-    offset_deg=st.floats(-90.0, 90.0),
-    gust=st.floats(0.0, 20.0),
-    believed=st.none() | st.floats(0.0, 2.0),
-)
+@given(lag=st.floats(0.0, 10.0), offset_deg=st.floats(-90.0, 90.0), believed=st.none() | st.floats(0.0, 2.0))
 def test_every_number_comes_back_bit_for_bit(
-    tmp_path_factory: pytest.TempPathFactory, lag: float, v_min: float, offset_deg: float, gust: float, believed: Any
+    tmp_path_factory: pytest.TempPathFactory, lag: float, offset_deg: float, believed: Any
 ) -> None:
-    scenario = Scenario(
-        steering={"lag": lag, "offset_deg": offset_deg},
-        driver={"v_min": v_min},
-        disturbances={"gust": gust},
-        knowledge={"delay": believed},
-    )
+    scenario = Scenario(steering={"lag": lag, "offset_deg": offset_deg}, knowledge={"delay": believed})
     file = tmp_path_factory.getbasetemp() / "scenario.toml"
     write_scenario(scenario, file)
     assert repr(read_scenario(file)) == repr(scenario)
