@@ -34,7 +34,7 @@ _ANGLE_ERROR = radians_of(0.3)
 _WINDOW = 40.0
 """Longest time over which headings are compared [s]."""
 _N = 6
-_OFFSET, _DISTURBANCE, _PLAY = 2, 4, 5
+_OFFSET, _DISTURBANCE = 2, 4
 _WINDOWS, _FILTERS = 13, 16
 _BOUNDS = ((0.4, 2.5), (-0.02, 0.05), (-0.5, 0.5), (-0.1, 0.1), (-0.2, 0.2), (-1.0, 4.0))
 """Of gain, understeer gradient [rad s^2/m], offset [rad], gyro zero [rad/s], disturbance [rad], play [1]."""
