@@ -23,8 +23,7 @@ from steerkit.paths.tracker import PathTracker
 from steerkit.plants.disturbed_plant import GUST_STATES, DisturbedPlant
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import SingleTrackState
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plants.torque_steering import TorqueSteering
+from steerkit.plants.steering_actuator import SteeringActuator, TorqueSteering
 from steerkit.scenario import END_MARGIN
 
 LEAST_ROOM = 30.0

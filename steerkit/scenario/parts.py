@@ -25,8 +25,13 @@ from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import DegradedSensors, Sensors
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver, SpeedProfile, ceiling
-from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, steering_in
-from steerkit.plants.torque_steering import TorqueSteering
+from steerkit.plants.steering_actuator import (
+    SteeringActuator,
+    SteeringColumn,
+    SteeringLink,
+    TorqueSteering,
+    steering_in,
+)
 from steerkit.scenario.catalogue import plant_kind
 from steerkit.task import A_Y_MAX, DT
 from steerkit.vehicles import G, Vehicle, vehicle, vehicle_of

@@ -38,8 +38,7 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import DegradedSensors, Sensors
 from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, RecordedSpeed, SpeedDriver, SpeedProfile
-from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink
-from steerkit.plants.torque_steering import TorqueSteering
+from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 from tests.support.compilers import optimising

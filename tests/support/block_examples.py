@@ -49,8 +49,7 @@ from steerkit.plants.speed_driver import (
     SpeedDriver,
     SpeedProfile,
 )
-from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink
-from steerkit.plants.torque_steering import TorqueSteering
+from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import GateLimits, GateModel
 

@@ -109,18 +109,6 @@ def test_bends_leave_nothing_in_the_gyros_zero() -> None:
             assert block.output(0.0, x, ()).rate_zero == pytest.approx(0.004, abs=1e-4)
 
 
-def test_a_long_straight_moves_no_ratio_and_forgets_towards_the_prior() -> None:
-    block = replace(BLOCK, memory=30.0)
-    command = np.concatenate((steered(60.0), radians_of(-3.0) + np.zeros(1200)))
-    signals = answered(command, delay=0.15, lag=0.2, offset=radians_of(3.0), car=OTHER)
-    x = driven_fast(block, {name: values[:1200] for name, values in signals.items()})
-    first = estimated(block.output(0.0, x, ()), "ratio")
-    x = driven_fast(block, {name: values[1200:] for name, values in signals.items()}, x)
-    later = estimated(block.output(0.0, x, ()), "ratio")
-    assert later.value == pytest.approx(first.value, abs=0.01)
-    assert 5.0 * first.deviation < later.deviation < 1.1 * block.ratio_prior * later.value**2
-
-
 def test_zeros_stay_known_where_a_ratio_is_forgotten() -> None:
     """A minute of driving with nothing to learn from: an offset is mechanical, a ratio goes with load and tyres."""
     block = replace(BLOCK, memory=300.0)

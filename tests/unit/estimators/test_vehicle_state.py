@@ -13,6 +13,7 @@ import pytest
 
 from steerkit.diagram.units import radians_of
 from steerkit.estimators import vehicle_state
+from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.metrics.signals import rms
 from steerkit.plants.linear_single_track import LinearSingleTrack
@@ -312,3 +313,6 @@ def test_parameters_out_of_range(field: str, value: float, says: str) -> None:
         replace(FILTER, **{field: value})
     with pytest.raises(ValueError, match="Sensors has no rhs; expected a single-track plant"):
         VehicleState.of(Sensors())
+    for settings, message in (({"dt": 0.1}, "dt = 0.05, steering.dt = 0.1"), ({"held": True}, "steering.held = True")):
+        with pytest.raises(ValueError, match=message):
+            replace(FILTER, steering=SingleTrackFilter(**{"vehicle": VW_PASSAT, "held": False} | settings))

@@ -183,15 +183,3 @@ def test_in_a_car_whose_data_sheet_is_wrong_it_knows_better_where_the_car_is_and
     assert late(adapts, "estimator.doubt").mean() < 0.3 * late(plain, "estimator.doubt").mean()
     means = [late(log, "estimator.nis").sum() / late(log, "estimator.nis_count").sum() for log in (plain, adapts)]
     assert abs(means[1] - 1.0) < 0.1
-
-
-@pytest.mark.parametrize(
-    ("settings", "says"),
-    [
-        ({"dt": 0.1}, r"dt = 0.05, steering.dt = 0.1 \[s\], expected the same"),
-        ({"held": True}, "steering.held = True, expected False"),
-    ],
-)
-def test_what_it_is_not_made_for(settings: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        replace(PLAIN, steering=replace(STEERING, **settings))

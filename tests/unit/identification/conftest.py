@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from steerkit.identification import Drive, identify
-from steerkit.identification.identified import Identified
+from steerkit.identification.fit import Identified
 from tests.support.compilers import optimised
 from tests.support.recorded_cars import BASE, driven, noisy
 

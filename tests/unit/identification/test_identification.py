@@ -10,7 +10,7 @@ import pytest
 from steerkit import simulate
 from steerkit.diagram.loop import Loop
 from steerkit.identification import identify, read_drive, shipped_drives
-from steerkit.identification.identified import Identified
+from steerkit.identification.fit import Identified
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import steering_of

@@ -9,7 +9,7 @@ import pytest
 
 from steerkit.diagram.units import degrees_of
 from steerkit.identification import Drive, identify
-from steerkit.identification.identified import Identified
+from steerkit.identification.fit import Identified
 from steerkit.logs.drive import aligned, in_metres, odd_values, standing_off
 from tests.support.recorded_cars import BASE, DT, by_rate, noisy
 

@@ -12,7 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.diagram.units import radians_of
-from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, steering_of
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.steering_actuator import (
+    SteeringActuator,
+    SteeringColumn,
+    SteeringLink,
+    TorqueSteering,
+    steering_of,
+)
 from steerkit.vehicles import VW_PASSAT
 from steerkit.vehicles.file import vehicle_text
 from tests.support.stepped import run
@@ -70,6 +77,8 @@ def test_nan_command_arrives_and_stays():
         (SteeringActuator, "delay", np.array([0.01, 0.02]), "delay .* expected one number for all cars"),
         (SteeringActuator, "limit", 520.0, r"limit = 520.0 \[rad\], expected 0.001 to 30"),
         (SteeringActuator, "lag", -0.1, r"lag = -0.1 \[s\]"),
+        (TorqueSteering, "slew", 0.0, "slew = 0.0"),
+        (TorqueSteering, "delay", 0.355, "delay = 0.355"),
         (SteeringLink, "jitter", 0.015, "jitter .*multiple of dt"),
         (SteeringLink, "quantum", -1.0, "quantum .*expected 0 to 1"),
         (SteeringColumn, "play", math.nan, r"play = nan \[rad\], expected 0 to 1"),
@@ -214,3 +223,88 @@ def test_a_sensors_zero_is_shown_and_moves_nothing() -> None:
 def test_it_starts_in_the_middle_where_it_stands() -> None:
     road, wheel = outputs(SteeringColumn(friction=0.1, play=0.2), [0.7, 0.75, 0.65]).T
     assert (wheel.tolist(), road.tolist()) == ([0.7] * 3, [0.7] * 3)
+
+
+# ---- by torque
+
+FREE = dict(slew=1e4, a_y_limit=1e3, rate_limit=200.0, limit=30.0)
+
+
+def wheel_of(a_y: float, v: float) -> float:
+    """The Passat's steering-wheel angle in a steady bend."""
+    p = VW_PASSAT
+    return p.steer_ratio * math.atan((p.wheelbase / v**2 + p.understeer_gradient) * a_y)
+
+
+def accelerations(block: TorqueSteering, angles: np.ndarray, v: float) -> np.ndarray:
+    """What lateral acceleration these angles are in steady bends."""
+    per_a = block.wheelbase / v**2 + block.understeer
+    return np.tan(angles / block.steer_ratio) / per_a
+
+
+@pytest.mark.parametrize(("v", "side"), [(8.0, 1.0), (16.0, -1.0), (25.0, 1.0)])
+def test_a_step_is_answered_after_the_dead_time_with_the_slew_up_to_the_limit_times_the_gain(
+    v: float, side: float
+) -> None:
+    block = TorqueSteering.of(VW_PASSAT, gain=0.8)
+    ys, x = run(block, [(wheel_of(9.0 * side, v), v)] * 150)
+    t = block.dt * np.arange(150)
+    ramp = np.clip(5.0 * (t - 0.35), 0.0, 3.0)
+    found = accelerations(block, np.array([y.delta_sw for y in ys]), v)
+    assert found == pytest.approx(0.8 * side * ramp, abs=1e-9)
+    assert len(x) == 3 + 35
+
+
+@pytest.mark.parametrize("a_y", [1.0, -2.5])
+def test_a_car_gets_the_acceleration_that_was_asked_for(a_y: float) -> None:
+    """Through the single track in a steady bend: what the angle stands for is what the car does with it."""
+    v = 15.0
+    block = TorqueSteering.of(VW_PASSAT, delay=0.1)
+    ys, _ = run(block, [(wheel_of(a_y, v), v)] * 200)
+    car = LinearSingleTrack(vehicle=VW_PASSAT, v0=v)
+    motion, _ = run(car, [(ys[-1].delta_sw, v)] * 400)
+    assert motion[-1].a_y == pytest.approx(a_y, rel=0.01)  # the tangent of 2 degrees is no angle
+
+
+def test_a_command_within_all_bounds_arrives_as_it_was_given() -> None:
+    block = TorqueSteering.of(VW_PASSAT, delay=0.2, **FREE)
+    given = np.cumsum(np.random.default_rng(0).normal(0.0, 0.001, 200))
+    ys, _ = run(block, [(command, 15.0) for command in given.tolist()])
+    n = 20 + 1  # a command acts from its sample to the next
+    assert [y.delta_sw for y in ys] == pytest.approx([0.0] * n + given[:-n].tolist(), abs=1e-9)
+
+
+def test_a_lag_is_exact() -> None:
+    block = TorqueSteering.of(VW_PASSAT, delay=0.0, lag=0.2, **FREE)
+    ys, _ = run(block, [(wheel_of(0.5, 12.0), 12.0)] * 60)
+    exact = 0.5 * (1.0 - np.exp(-block.dt * np.arange(60) / 0.2))
+    assert accelerations(block, np.array([y.delta_sw for y in ys]), 12.0) == pytest.approx(exact, abs=1e-9)
+
+
+def test_offset_and_wheel_limits() -> None:
+    ys, _ = run(TorqueSteering.of(VW_PASSAT, offset=0.1, rate_limit=2.0), [(0.0, 12.0)] * 60)
+    assert ys[-1].delta_sw == pytest.approx(0.1)
+    assert max(y.rate for y in ys) == pytest.approx(2.0)
+    ys, _ = run(TorqueSteering.of(VW_PASSAT, limit=1.0), [(9.0, 4.0)] * 100)
+    assert ys[-1].delta_sw == pytest.approx(1.0)
+
+
+@given(commands=st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=40), v=st.floats(-2.0, 40.0))
+def test_slew_and_limit_hold_for_every_command(commands: list[float], v: float) -> None:
+    block = TorqueSteering.of(VW_PASSAT, delay=0.02, slew=4.0, a_y_limit=2.0)
+    x = block.init()
+    for command in commands:
+        before = x[2]
+        x = block.update(0.0, x, block.U(command, v), block.output(0.0, x, ()))
+        assert abs(x[2]) <= 2.0
+        assert abs(x[2] - before) <= 4.0 * block.dt * (1.0 + 1e-9)
+        assert abs(x[0]) <= block.limit
+        assert math.isfinite(x[0])
+
+
+def test_a_car_that_holds_an_angle_goes_on_holding_it() -> None:
+    block = TorqueSteering.of(VW_PASSAT)
+    angle, v = wheel_of(2.0, 12.0), 12.0
+    ys, x = run(block, [(angle, v)] * 50, x=block.holding(angle, v))
+    assert [y.delta_sw for y in ys] == pytest.approx([angle] * 50)
+    assert len(x) == len(block.init())

@@ -10,8 +10,7 @@ import pytest
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.plants.sensors import DegradedSensors, Sensors
-from steerkit.plants.steering_actuator import SteeringColumn, SteeringLink
-from steerkit.plants.torque_steering import TorqueSteering
+from steerkit.plants.steering_actuator import SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive
 from steerkit.scenario.parts import drawn_course
