@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -59,25 +59,14 @@ class Resimulated:
     path: Path
     """The way that was driven."""
 
-    @property
-    def t(self) -> Array:
-        """From the beginning [s]."""
-        return self.log.t
-
-    @property
-    def again(self) -> Array:
-        """Steering-wheel angle of the controller [rad]."""
-        return self.log["actuator.delta_sw"]
-
-    @property
-    def e(self) -> Array:
-        """How far the simulated car is beside the way that was driven [m]."""
-        return self.log["path.e"]
-
-    @property
-    def a_y(self) -> Array:
-        """Its lateral acceleration [m/s^2]."""
-        return self.log["car.a_y"]
+    t: Array
+    """From the beginning [s]."""
+    again: Array
+    """Steering-wheel angle of the controller [rad]."""
+    e: Array
+    """How far the simulated car is beside the way that was driven [m]."""
+    a_y: Array
+    """Its lateral acceleration [m/s^2]."""
 
     @property
     def differs(self) -> Array:
@@ -193,6 +182,10 @@ def resimulate(
         compared=measured & (v >= _SLOW) & (t >= 2.0),
         log=log,
         path=path,
+        t=t,
+        again=log["actuator.delta_sw"],
+        e=log["path.e"],
+        a_y=log["car.a_y"],
     )
 
 
@@ -221,10 +214,9 @@ def way(drive: Drive, *, ahead: float = 0.0) -> Path:
 
 def _reference(controller: Any, vehicle: Vehicle) -> float:
     """Where a controller looks at e [m ahead of the centre of gravity]: its own point, else the front axle."""
-    law = bare(controller)
-    if "reference" in {field.name for field in fields(law)}:
-        return float(law.reference)  # type: ignore[attr-defined]
-    return float(vehicle.l_f)
+    law: Any = bare(controller)
+    reference: float = getattr(law, "reference", float(vehicle.l_f))
+    return float(reference)
 
 
 def _run(loop: Loop, seconds: float, progress: bool) -> Log:

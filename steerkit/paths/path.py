@@ -15,16 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from steerkit._support.files import read_text, write_text
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar, Table
-from steerkit.paths.waypoints import (
-    check_gps,
-    check_metres,
-    checked,
-    east_north,
-    place_deg,
-    read_columns,
-    ring,
-    travelled,
-)
+from steerkit.paths.waypoints import check_metres, checked, place_deg, placed, read_columns, ring, travelled
 
 Array = NDArray[np.float64]
 
@@ -113,10 +104,8 @@ class Path:
         lat_deg, lon_deg: (n,) [degrees]. The rest as `from_waypoints`, whose errors it raises, and ValueError for
         positions that are out of range, swapped or in radians.
         """
-        lat, lon = np.asarray(lat_deg, dtype=float), np.asarray(lon_deg, dtype=float)
-        check_gps(lat, lon, f"Path '{name}'")
-        origin = float(lat[0]), float(lon[0])
-        xy = east_north(lat, lon, origin)
+        columns = {"lat": np.asarray(lat_deg, dtype=float), "lon": np.asarray(lon_deg, dtype=float)}
+        xy, origin = placed(columns, f"Path '{name}'")
         path = cls.from_waypoints(xy, closed=closed, smoothing=smoothing, spacing=spacing, name=name)
         return dataclasses.replace(path, origin_deg=origin)
 
@@ -146,16 +135,12 @@ class Path:
         where: str = "the course",
     ) -> Self:
         """The path in the text of a CSV file, as `from_csv`; `where` is what errors call it."""
-        columns = read_columns(text, where)
-        if {"x", "y"} <= columns.keys():
-            xy = np.column_stack((columns["x"], columns["y"]))
+        xy, origin = placed(read_columns(text, where), where)
+        if origin is None:
             check_metres(checked(xy, where), where)
-            return cls.from_waypoints(xy, closed=closed, smoothing=smoothing or 0.0, spacing=spacing, name=name)
-        if {"lat", "lon"} <= columns.keys():
-            wide = 0.1 if smoothing is None else smoothing
-            lat, lon = columns["lat"], columns["lon"]
-            return cls.from_gps(lat, lon, closed=closed, smoothing=wide, spacing=spacing, name=name)
-        raise ValueError(f"{where}: columns {', '.join(columns)}; valid: x, y [m] or lat, lon [degrees]")
+        wide = smoothing if smoothing is not None else 0.0 if origin is None else 0.1
+        path = cls.from_waypoints(xy, closed=closed, smoothing=wide, spacing=spacing, name=name)
+        return dataclasses.replace(path, origin_deg=origin)
 
     @classmethod
     def _of_curve(cls, curve: Any, end: float, closed: bool, spacing: float, name: str) -> Self:

@@ -160,6 +160,18 @@ def east_north(lat_deg: NDArray[Any], lon_deg: NDArray[Any], origin_deg: tuple[f
     return np.column_stack(pymap3d.geodetic2enu(lat_deg, lon_deg, 0.0, *origin_deg, 0.0)[:2])
 
 
+def placed(columns: dict[str, Array], where: str) -> tuple[Array, tuple[float, float] | None]:
+    """Columns x, y [m] or lat, lon [degrees] as metres (n, 2), and where x = y = 0 is [degrees], if that is known."""
+    if {"x", "y"} <= columns.keys():
+        return np.column_stack((columns["x"], columns["y"])), None
+    if not {"lat", "lon"} <= columns.keys():
+        raise ValueError(f"{where}: columns {', '.join(columns)}; valid: x, y [m] or lat, lon [degrees]")
+    lat, lon = columns["lat"], columns["lon"]
+    check_gps(lat, lon, where)
+    origin = float(lat[0]), float(lon[0])
+    return east_north(lat, lon, origin), origin
+
+
 def place_deg(lat_deg: float, lon_deg: float) -> str:
     """A position as people write it: `52.28000 N, 8.02000 E`."""
     north, east = "N" if lat_deg >= 0.0 else "S", "E" if lon_deg >= 0.0 else "W"

@@ -34,7 +34,7 @@ from steerkit.paths.courses.shapes import (
     straight,
 )
 from steerkit.paths.path import Array, Path
-from steerkit.paths.waypoints import check_stated, distances, east_north, read_columns, stated
+from steerkit.paths.waypoints import check_stated, distances, placed, read_columns, stated
 
 __all__ = [
     "bends",
@@ -90,13 +90,7 @@ def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
 
 
 def _meets_itself(text: str, name: str) -> bool:
-    columns = read_columns(text, name)
-    if {"x", "y"} <= columns.keys():
-        points = np.column_stack((columns["x"], columns["y"]))
-    elif {"lat", "lon"} <= columns.keys():
-        points = east_north(columns["lat"], columns["lon"], (columns["lat"][0], columns["lon"][0]))
-    else:
-        return False  # from_text says what is wrong
+    points, _ = placed(read_columns(text, name), name)
     steps = distances(points)
     return len(points) > 2 and float(np.hypot(*(points[-1] - points[0]))) <= max(5.0, 3.0 * float(np.median(steps)))
 
