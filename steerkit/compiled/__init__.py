@@ -8,6 +8,7 @@ in C, which calls its Python function, and in Python. `gradient` differentiates 
 
 from __future__ import annotations
 
+import functools
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -21,7 +22,7 @@ from steerkit._support.native import NoCompilerError, compiler
 from steerkit.compiled.native_program import NativeProgram, Slots
 from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, trace, with_parameters
-from steerkit.diagram.loop import Loop, LoopState, Sample, require_batch
+from steerkit.diagram.loop import Loop, LoopState, require_batch
 from steerkit.diagram.simulation import Log, Signal, check_finite
 
 __all__ = ["Compiled", "NoCompilerError", "TraceError", "compile"]
@@ -116,28 +117,19 @@ class Compiled:
         slots = self.trace.layout.pack(state.x, state.y)
         cars = _cars({"state": next((v for v in slots if np.ndim(v)), 0.0)} | values, cars)
         stop = state.k + max(1, round(duration / self.loop.dt))
-        if cars is None:
-            rows, end = self._one(state.k, stop, [float(v) for v in slots], [float(v) for v in values.values()])
-        else:
-            wide = [np.broadcast_to(np.asarray(v, dtype=float), (cars,)) for v in slots]
-            fixed = [np.broadcast_to(np.asarray(v, dtype=float), (cars,)) for v in values.values()]
-            rows, end = self._many(state.k, stop, np.array(wide).reshape(-1, cars), np.array(fixed).reshape(-1, cars))
+        n = 1 if cars is None else cars
+        wide, fixed = (
+            np.array([np.broadcast_to(np.asarray(v, dtype=float), (n,)) for v in numbers]).reshape(-1, n)
+            for numbers in (slots, values.values())
+        )
+        program = self._program(wide)
+        runs = program.run if isinstance(program, NativeProgram) else functools.partial(self._floats, program)
+        rows, end_of_all = runs(state.k, stop, wide, fixed)
+        rows, end = (rows[..., 0], lambda: end_of_all()[:, 0]) if cars is None else (rows, end_of_all)
         log = self._log(state.k, stop, rows, end)
         if not allow_nonfinite:
             check_finite(log)
         return log
-
-    def step(self, state: LoopState, parameters: Mapping[str, Any] | None = None) -> tuple[LoopState, Sample]:
-        """One tick of one car, as `Loop.step`."""
-        slots = [float(v) for v in self.trace.layout.pack(state.x, state.y)]
-        fixed = [float(v) for v in self._values(parameters or {}).values()]
-        program = self._program(slots)
-        if isinstance(program, NativeProgram):
-            end = program.tick(state.k, np.array(slots), np.array(fixed))
-        else:
-            end = self._one(state.k, state.k + 1, slots, fixed)[1]()
-        after = self._state(state.k + 1, end)
-        return after, Sample(self.loop, state.k * self.loop.dt, after.y)
 
     def _values(self, given: Mapping[str, Any]) -> dict[str, Any]:
         unknown = [name for name in given if name not in self.parameters]
@@ -154,26 +146,21 @@ class Compiled:
             present[name] = tuple(value) if isinstance(old, tuple) else value
         return flattened(present)
 
-    def _one(self, k: int, stop: int, slots: list[float], parameters: list[float]) -> tuple[Any, Slots]:
-        """(rows, how to get all slots after the last tick) of one car."""
-        program = self._program(slots)
-        if isinstance(program, NativeProgram):
-            return program.run(k, stop, np.array(slots), np.array(parameters))
-        kept: list[tuple[float, ...]] = []
-        persistent = program.run(k, stop - 1, slots, parameters, kept)
-        for slot, value in zip(program.trace.persistent, persistent):
-            slots[slot] = value
-        last = program.finish(stop - 1, slots, parameters)
-        if (stop - 1) % self.every == 0:
-            kept.append(tuple([last[slot] for slot in self._slots]))
-        return np.array(kept, dtype=float).reshape(len(kept), len(self._slots)), lambda: last
-
-    def _many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[Any, Slots]:
-        program = self._program(slots)
-        if isinstance(program, NativeProgram):
-            return program.run_many(k, stop, slots, parameters)
-        cars = [self._one(k, stop, s.tolist(), p.tolist()) for s, p in zip(slots.T, parameters.T)]
-        return np.stack([rows for rows, _ in cars], axis=-1), lambda: np.stack([end() for _, end in cars], axis=-1)
+    def _floats(
+        self, program: PythonProgram, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray
+    ) -> tuple[np.ndarray, Slots]:
+        """As `NativeProgram.run`, car by car."""
+        rows, ends = [], []
+        for start, fixed in zip(slots.T.tolist(), parameters.T.tolist(), strict=True):
+            kept: list[tuple[float, ...]] = []
+            persistent = program.run(k, stop - 1, start, fixed, kept)
+            for slot, value in zip(program.trace.persistent, persistent):
+                start[slot] = value
+            ends.append(program.finish(stop - 1, start, fixed))
+            if (stop - 1) % self.every == 0:
+                kept.append(tuple([ends[-1][slot] for slot in self._slots]))
+            rows.append(np.array(kept, dtype=float).reshape(len(kept), len(self._slots)))
+        return np.stack(rows, axis=-1), lambda: np.array(ends, dtype=float).T
 
     def _program(self, slots: Any) -> Any:
         """The program for a start; one of its own for each of the first few sets of held values that pay for it."""

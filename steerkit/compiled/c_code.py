@@ -39,41 +39,17 @@ typedef int mask;
 #define AT(name, column) name[column]
 """
 
-_ROUTINE = "typedef void (*routine)(void *, const double *, double *);"
-
-_RUN_ONE = """\
-void run(long long k, long long stop, long long every, double *slots, const double *p, double *out, void **routines)
-{{
-  real s[{persistent}];
-  long long wait = (every - k % every) % every;
-  for (int i = 0; i < {n}; i++) s[i] = slots[i];
-  for (; k < stop; k++) {{
-    real y[{recorded}];
-    switch (k % {period}) {{ {cases} }}
-    if (wait == 0) {{ for (int i = 0; i < {m}; i++) *out++ = y[i]; wait = every; }}
-    wait--;
-  }}
-  for (int i = 0; i < {n}; i++) slots[i] = s[i];
-}}
-"""
-
-_FINISH_ONE = """\
-void finish(long long k, const double *slots, const double *p, double *out, void **routines)
-{{
-  last((double)k, slots, p, out, routines);
-}}
-"""
-
 _LOAD_AND_STORE = """\
+typedef void (*routine)(void *, const double *, double *);
 static real load(const double *a) { real r; memcpy(&r, a, sizeof r); return r; }
 static void store(double *a, real r) { memcpy(a, &r, sizeof r); }
 """
 
-_RUN_MANY = """\
+_RUN = """\
 int lanes(void) {{ return LANES; }}
 /* slots, parameters, all: one block of [count][LANES] a group; out: [rows][recorded][cars] */
 void run(long long k0, long long stop, long long every, long long first, long long last, long long cars,
-         double *slots, const double *parameters, double *out)
+         double *slots, const double *parameters, double *out, void **routines)
 {{
   for (long long group = first; group < last; group++) {{
     real s[{persistent}], p[{parameters}];
@@ -92,14 +68,15 @@ void run(long long k0, long long stop, long long every, long long first, long lo
 }}
 """
 
-_FINISH_MANY = """\
-void finish(long long k, long long first, long long end, const double *slots, const double *parameters, double *all)
+_FINISH = """\
+void finish(long long k, long long first, long long end, const double *slots, const double *parameters, double *all,
+            void **routines)
 {{
   for (long long group = first; group < end; group++) {{
     real s[{persistent}], p[{parameters}], out[{slots}];
     for (int i = 0; i < {n}; i++) s[i] = load(slots + (group * {n} + i) * LANES);
     for (int i = 0; i < {np}; i++) p[i] = load(parameters + (group * {np} + i) * LANES);
-    last((double)k, s, p, out);
+    last((double)k, s, p, out, routines);
     for (int i = 0; i < {slots}; i++) store(all + (group * {slots} + i) * LANES, out[i]);
   }}
 }}
@@ -179,23 +156,21 @@ def _cost(graph: Graph, i: int) -> tuple[float, float]:
 
 
 def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
-    """A C file with `run`: ticks k to stop, every so many recorded.
+    """A C file with `run`: ticks k to stop, every so many recorded, of cars in groups of `lanes()`.
 
-    That of one car is handed its `routines`: of each the addresses of a function and of its first argument.
+    many: several cars a group. `routines` has of each routine the addresses of a function and of its first argument.
     """
     persistent = trace.persistent
-    last, handed = ("", "") if many else (", void **routines", ", routines")
     names = [f"s[{i}]" for i in range(len(persistent))] + [f"y[{i}]" for i in range(len(recorded))]
     ticks = []
     for number, (tick, _) in enumerate(trace.kinds):
         body = _body(trace, tick.graph, [tick.roots[slot] for slot in (*persistent, *recorded)], names)
-        ticks.append(
-            f"static inline void tick{number}(double k, real *s, const real *p, real *y{last})\n{{\n{body}}}\n"
-        )
-    cases = [f"{label} tick{i}((double)k, s, p, y{handed}); break;" for i, label in enumerate(phase_labels(trace))]
+        head = f"static inline void tick{number}(double k, real *s, const real *p, real *y, void **routines)"
+        ticks.append(f"{head}\n{{\n{body}}}\n")
+    cases = [f"{label} tick{i}((double)k, s, p, y, routines); break;" for i, label in enumerate(phase_labels(trace))]
     sizes = _sizes(trace) | {"recorded": max(1, len(recorded)), "m": len(recorded)}
-    run = (_RUN_MANY if many else _RUN_ONE).format(**sizes, period=len(trace.ticks), cases=" ".join(cases))
-    return "\n".join([_head(trace.tables, many=many), _LOAD_AND_STORE if many else _ROUTINE, *ticks, run])
+    run = _RUN.format(**sizes, period=len(trace.ticks), cases=" ".join(cases))
+    return "\n".join([_head(trace.tables, many=many), _LOAD_AND_STORE, *ticks, run])
 
 
 def finish_source(trace: Trace, number: int, *, many: bool) -> str:
@@ -205,10 +180,11 @@ def finish_source(trace: Trace, number: int, *, many: bool) -> str:
     """
     tick, _ = trace.kinds[number]
     body = _body(trace, tick.graph, tick.roots, [f"out[{i}]" for i in range(len(tick.roots))])
-    given = "double k, const real *s, const real *p, real *out" + ("" if many else ", void **routines")
-    last = f"static inline void last({given})\n{{\n{body}}}\n"
-    finish = (_FINISH_MANY if many else _FINISH_ONE).format(**_sizes(trace))
-    return "\n".join([_head(trace.tables, many=many), _LOAD_AND_STORE if many else _ROUTINE, last, finish])
+    last = (
+        f"static inline void last(double k, const real *s, const real *p, real *out, void **routines)\n{{\n{body}}}\n"
+    )
+    finish = _FINISH.format(**_sizes(trace))
+    return "\n".join([_head(trace.tables, many=many), _LOAD_AND_STORE, last, finish])
 
 
 def phase_labels(trace: Trace, suffix: str = "") -> list[str]:
@@ -276,8 +252,7 @@ def _body(trace: Trace, graph: Graph, roots: Sequence[int], names: Sequence[str]
             return "NUMBER(k)"
         return f"s[{persistent[slot - 1]}]" if slot <= slots else f"p[{slot - slots - 1}]"
 
-    unused = "  (void)k; (void)s; (void)p;" + (" (void)y;\n" if "y[" in "".join(names[-1:]) or not names else "\n")
-    return "\n".join([unused, *_written(graph, roots, names, source, trace.tables), ""])
+    return "\n".join([*_written(graph, roots, names, source, trace.tables), ""])
 
 
 def _written(

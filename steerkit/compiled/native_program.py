@@ -22,7 +22,7 @@ from steerkit.diagram.maths import Routine
 _LL = ctypes.c_longlong
 _CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.POINTER(ctypes.c_double), ctypes.c_void_p)
 Slots = Callable[[], Any]
-"""All slots after a run, (S,) or (S, N), computed when they are asked for."""
+"""All slots after a run, (S, N), computed when they are asked for."""
 
 
 class NativeProgram:
@@ -57,75 +57,16 @@ class NativeProgram:
 
         return _CALLBACK(call)
 
-    @functools.cached_property
-    def one(self) -> ctypes.CDLL:
-        """The library that runs one car."""
-        return native.load(run_source(self.trace, self.recorded, many=False), fused=True)
-
-    @functools.cached_property
-    def many(self) -> ctypes.CDLL:
-        """The library that runs cars in groups of `many.lanes()`."""
-        return native.load(run_source(self.trace, self.recorded, many=True), fused=True, vector_maths=True)
-
-    @functools.cached_property
-    def _effort(self) -> float:
-        """Instructions of a tick."""
-        return self.trace.instructions / len(self.trace.ticks)
-
-    def finish(self, k: int, *, many: bool = False, optimise: bool | None = None) -> Any:
-        """The C function that takes the tick k and gives all slots; optimise: False where it runs once."""
-        return self._finish(self.trace.kind(k), many, optimise).finish
+    @functools.cache  # noqa: B019 (lives as long as the program)
+    def _run(self, many: bool) -> Any:
+        """The C function that runs cars: one at a time, or in groups of several."""
+        return native.load(run_source(self.trace, self.recorded, many=many), fused=True, vector_maths=many)
 
     @functools.cache  # noqa: B019 (lives as long as the program)
-    def _finish(self, number: int, many: bool, optimise: bool | None) -> ctypes.CDLL:
+    def _finish(self, number: int, many: bool, optimise: bool | None) -> Any:
+        """The C function that takes one tick and gives all slots; optimise: False where it runs once."""
         source = finish_source(self.trace, number, many=many)
-        return native.load(source, fused=True, vector_maths=many, optimise=optimise)
-
-    def tick(self, k: int, slots: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """All slots of one car after the tick k."""
-        with self._held():
-            return self._finished(k, slots[self.trace.persistent], parameters)
-
-    def run(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
-        """Ticks k to stop - 1 of one car from all its slots: rows recorded, and how to get all slots after the last.
-
-        Those are computed when they are asked for: the code for them is as long again as the run's. A solver must not
-        be asked twice, so with a routine in the loop they are the last tick.
-        """
-        rows = np.empty((_kept(k, stop, self.every), len(self.recorded)))
-        state, last = slots[self.trace.persistent], stop - 1
-        with self._held():
-            self._run_one(k, last, state, parameters, rows)
-            before = state.copy()
-            if self.trace.routines:
-                end = self._finished(last, before, parameters)
-                if last % self.every == 0 and self.recorded:
-                    rows[-1] = end[list(self.recorded)]
-                return rows, lambda: end
-            self._run_one(last, stop, state, parameters, rows[_kept(k, last, self.every) :])
-        row = rows[-1:].copy()  # the caller may write into the rows
-        return rows, lambda: self._as_run(self._finished(last, before, parameters, optimise=False), last, state, row)
-
-    def _run_one(self, k: int, stop: int, state: np.ndarray, parameters: np.ndarray, rows: np.ndarray) -> None:
-        if k < stop:
-            self.one.run(_LL(k), _LL(stop), _LL(self.every), _at(state), _at(parameters), _at(rows), self._routines)
-
-    def _finished(
-        self, k: int, state: np.ndarray, parameters: np.ndarray, *, optimise: bool | None = None
-    ) -> np.ndarray:
-        end = np.empty(len(self.trace.layout))
-        self.finish(k, optimise=optimise)(_LL(k), _at(state), _at(parameters), _at(end), self._routines)
-        return end
-
-    def _as_run(self, end: np.ndarray, last: int, state: np.ndarray, row: np.ndarray) -> np.ndarray:
-        """All slots as the run has rounded them, where it kept them: going on from there is going on.
-
-        state: what it carries; row: what it recorded last, none or one.
-        """
-        end[self.trace.persistent] = state
-        if last % self.every == 0 and self.recorded:
-            end[list(self.recorded)] = row[0]
-        return end
+        return native.load(source, fused=True, vector_maths=many, optimise=optimise).finish
 
     @contextlib.contextmanager
     def _held(self) -> Iterator[None]:
@@ -138,42 +79,56 @@ class NativeProgram:
             if self._errors:
                 raise self._errors[0]
 
-    def run_many(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
-        """The same for N cars: slots (S, N), parameters (P, N) to rows (T, R, N), and how to get slots (S, N).
+    def run(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
+        """Ticks k to stop - 1 of N cars from all slots (S, N), with parameters (P, N): rows recorded (T, R, N), and how
+        to get all slots (S, N) after the last.
 
-        With a routine in the loop one after the other.
+        Those are computed when they are asked for: the code for them is as long again as the run's. A solver must not
+        be asked twice, so with a routine in the loop, which runs car by car, they are the last tick.
         """
-        if self.trace.routines:
-            alone = [self.run(k, stop, np.array(s), np.array(p)) for s, p in zip(slots.T, parameters.T, strict=True)]
-            return np.stack([rows for rows, _ in alone], axis=-1), lambda: np.stack(
-                [end() for _, end in alone], axis=-1
-            )
-        library, every, last, cars = self.many, self.every, stop - 1, slots.shape[1]
+        every, last, cars, alone = self.every, stop - 1, slots.shape[1], bool(self.trace.routines)
+        many = cars > 1 and not alone
+        library = self._run(many)
         lanes = library.lanes()
         groups = -(-cars // lanes)
-        padded = groups * lanes
         state, fixed = _grouped(slots[self.trace.persistent], lanes, groups), _grouped(parameters, lanes, groups)
-        rows = np.empty((_kept(k, stop, every), len(self.recorded), padded))
-
-        before = np.empty_like(state)
+        rows, before = np.empty((_kept(k, stop, every), len(self.recorded), groups * lanes)), np.empty_like(state)
 
         def work(first: int, past: int) -> None:
             def go(k: int, stop: int, rows: np.ndarray) -> None:
-                span = _LL(k), _LL(stop), _LL(every), _LL(first), _LL(past)
-                library.run(*span, _LL(padded), _at(state), _at(fixed), _at(rows))
+                span = map(_LL, (k, stop, every, first, past, groups * lanes))
+                library.run(*span, _at(state), _at(fixed), _at(rows), self._routines)
 
             go(k, last, rows)
             before[first:past] = state[first:past]
-            go(last, stop, rows[_kept(k, last, every) :])
+            if not alone:
+                go(last, stop, rows[_kept(k, last, every) :])
 
-        _share(work, groups, (stop - k) * groups * self._effort)
+        def finished(*, optimise: bool | None = None) -> np.ndarray:
+            slots = np.empty((groups, len(self.trace.layout), lanes))
+            finish = self._finish(self.trace.kind(last), many, optimise)
+            finish(_LL(last), _LL(0), _LL(groups), _at(before), _at(fixed), _at(slots), self._routines)
+            return _apart(slots)[:, :cars]
+
+        kept_last = last % every == 0 and bool(self.recorded)
+        if alone:
+            with self._held():
+                work(0, groups)
+                after = finished()
+            if kept_last:
+                rows[-1] = after[list(self.recorded)]
+            return rows, lambda: after
+        _share(work, groups, (stop - k) * groups * self.trace.instructions / len(self.trace.ticks))
         rows = rows[..., :cars]
-        row = rows[-1:].copy()
+        row = rows[-1:].copy()  # the caller may write into the rows
 
         def end() -> np.ndarray:
-            slots = np.empty((groups, len(self.trace.layout), lanes))
-            self.finish(last, many=True)(_LL(last), _LL(0), _LL(groups), _at(before), _at(fixed), _at(slots))
-            return self._as_run(_apart(slots)[:, :cars], last, _apart(state)[:, :cars], row)
+            """As the run has rounded them, where it kept them: going on from there is going on."""
+            after = finished(optimise=None if many else False)
+            after[self.trace.persistent] = _apart(state)[:, :cars]
+            if kept_last:
+                after[list(self.recorded)] = row[0]
+            return after
 
         return rows, end
 
