@@ -158,11 +158,6 @@ class Calibrated:
         offset = known["offset"][0].value if "offset" in known else 0.0
         return {name: max(value, 0.0) for name, value in times.items()} | {"offset": offset}
 
-    @property
-    def changes(self) -> list[str]:
-        """What is another than the earlier drive found."""
-        return changes(self.before, self.found)
-
     def text(self) -> str:
         """The vehicle file: `vehicle(file)` reads its car, `steering_of(file)` its steering."""
         car, known = self.config.vehicle, self.known
@@ -184,7 +179,7 @@ class Calibrated:
             "sha256": self.digest,
             "base": f"{car.name}: m, i_z, l_f, l_r, c_f, c_r, mu are given, not found",
             "notes": [*self.notes, *notes],
-            "changes": self.changes,
+            "changes": changes(self.before, self.found),
         }
         named = replace(car, name=f"{car.name.removesuffix(NAMED)}{NAMED}", steer_ratio=ratio)
         return vehicle_text(named, steering=self.steering, estimates=rows, provenance=provenance)
@@ -241,7 +236,7 @@ def from_recording(recording: FilePath, out: FilePath, *, say: bool = True) -> d
     rows = {
         name: {"value": q.value, "low": q.low, "high": q.high, "valid": q.valid > 0.5} for name, q in made.found.items()
     }
-    return {"vehicle_file": str(out), "estimates": rows, "changes": made.changes}
+    return {"vehicle_file": str(out), "estimates": rows, "changes": changes(made.before, made.found)}
 
 
 def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: float) -> dict[str, Any]:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
-from steerkit._support.errors import require
 from steerkit.car import protocol
 from steerkit.car.protocol import Snapshot
 from steerkit.car.state_machine import Mode, Order
@@ -27,10 +26,8 @@ class CarLost(ConnectionError):
 class CarLink(Protocol):
     """What a loop asks of a line to a car: of a `CarClient`, or of a `ReplayLink`."""
 
-    @property
-    def last(self) -> Snapshot | None:
-        """The last answer."""
-        ...
+    last: Snapshot | None
+    """The last answer."""
 
     def query(self) -> Snapshot:
         """What the car server knows now."""
@@ -57,7 +54,8 @@ class CarClient:
     def __init__(
         self, socket_path: str, *, controller: bool = True, timeout: float = 1.0, course: str = protocol.NO_COURSE
     ):
-        self.path, self.last, self.misses = socket_path, None, 0
+        self.path, self.misses = socket_path, 0
+        self.last: Snapshot | None = None
         self.refused: list[str] = []
         """What the car server refused, and why; whoever shows it may clear it."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -75,8 +73,6 @@ class CarClient:
         self.query()
         if controller and self.refused:
             raise CarLost(f"{socket_path}: {self.refused[0]}")
-
-    last: Snapshot | None
 
     def query(self) -> Snapshot:
         """What the car server knows now."""
@@ -204,9 +200,6 @@ class RealCar(Car):
 
     pure = False
     link: CarLink
-
-    def __post_init__(self) -> None:
-        require(0.0 < self.dt < 1.0, "RealCar", f"dt = {self.dt} s, expected more than 0 and less than 1")
 
     def init(self, batch: tuple[int, ...] = ()) -> tuple[Any, ...]:
         if batch:

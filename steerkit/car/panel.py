@@ -35,6 +35,7 @@ from steerkit.diagram.units import degrees_of
 PERIOD = 0.04
 """Longest wait for a key [s]: a heartbeat follows each."""
 KEYS = {" ": Order.DISENGAGE, "e": Order.ENGAGE, "a": Order.ACKNOWLEDGE, "r": Order.ARM, "o": Order.OFF}
+KEYS["q"] = Order.DISENGAGE  # and the drive ends
 HELP = "space let go · e engage · a acknowledge · r arm · o off · q quit"
 COLOURS = {
     Mode.OFF: "white",
@@ -104,13 +105,10 @@ class Panel:
             while not self._over:
                 key = read(period)
                 if key is None:  # the terminal is gone
-                    link.order(Order.DISENGAGE)
-                    self.session.ending = True
                     return
                 if key == "q":
-                    link.order(Order.DISENGAGE)
                     self.session.ending = True
-                elif key in KEYS:
+                if key in KEYS:
                     said = ""
                     link.order(KEYS[key])
                 elif key and self._engaged:  # another key asks for something: disengaging is the safe answer
@@ -143,38 +141,36 @@ class Panel:
 
     def _picture(self, s: Snapshot, said: str) -> Any:
         cause, *against = s.text.split("\n")
-        table = Table.grid(padding=(0, 2))
-        timing = self.session.timing
+        here, timing = self.session, self.session.timing
+        asked = "nothing yet" if here.asked is None else f"{degrees_of(here.asked):+.1f} deg"
+        sent = f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
+        steps = (
+            timing
+            and timing.steps
+            and f"{timing.steps}, misses {timing.misses}, p99 {1e3 * timing.jitter(0.99):.2f} ms late"
+        )
         rows: list[tuple[str, Any]] = [
             ("state", Text(f"{s.mode}", style=f"bold {COLOURS[s.mode]}")),
             ("cause", cause),
             ("e, psi_e", f"{s.e:+.3f} m   {degrees_of(s.psi_e):+.1f} deg"),
-            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {_sent(s)}, asked for {self._asked()}{self._who(s)}"),
+            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {sent}, asked for {asked}{self._who(s)}"),
             ("speed", f"{s.v:.2f} m/s, kit {s.v_kit:.2f} m/s   torque {s.torque:+.1f} N m"),
             ("ages", f"pose {_ms(s.pose_age)}, report {_ms(s.report_age)}, request {_ms(s.request_age)}"),
             ("errors", f"{s.errors:.0f}   frames sent {s.frames_sent:.0f}"),
+            ("steps", steps),
+            *(("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against),
+            ("refused", said),
+            ("believed", here.adapted and adapted_line(here.adapted)),
+            ("filter", here.filtered and filter_line(here.filtered, here.corrections)),
+            (self.about, self.more and self.more()),
+            *here.watched.rows(),
         ]
-        if timing is not None and timing.steps:
-            rows.append(
-                ("steps", f"{timing.steps}, misses {timing.misses}, p99 {1e3 * timing.jitter(0.99):.2f} ms late")
-            )
-        rows += [("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against]
-        rows += [("refused", said)] if said else []
-        if self.session.adapted is not None:
-            rows.append(("believed", adapted_line(self.session.adapted)))
-        if self.session.filtered is not None:
-            rows.append(("filter", filter_line(self.session.filtered, self.session.corrections)))
-        if self.more:
-            rows.append((self.about, self.more()))
-        rows += self.session.watched.rows()
-        for name, value in rows:
-            table.add_row(name, value)
+        table = Table.grid(padding=(0, 2))
+        for row in rows:
+            if row[1]:
+                table.add_row(*row)
         keys = HELP if sys.stdin.isatty() else "no keyboard here: no key disengages, a real car stays with the human"
         return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
-
-    def _asked(self) -> str:
-        asked = self.session.asked
-        return "nothing yet" if asked is None else f"{degrees_of(asked):+.1f} deg"
 
     def _who(self, s: Snapshot) -> str:
         learner = self.session.learner_steers
@@ -207,10 +203,6 @@ def filter_line(last: Filtered, corrections: Collection[bool]) -> str:
     share = f", {100.0 * last.share:.0f} % backup" if 0.0 < last.share < 1.0 else ""
     often = f"; changed {100.0 * sum(corrections) / len(corrections):.1f} % of the last minute" if corrections else ""
     return f"{said(last.reason)}{share}, reach {last.reach:.2f} m{often}"
-
-
-def _sent(s: Snapshot) -> str:
-    return f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
 
 
 def _ms(age: float) -> str:
