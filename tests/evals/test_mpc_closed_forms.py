@@ -14,6 +14,7 @@ from steerkit.controllers.lqr import cost_to_go
 from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
 from steerkit.controllers.mpc.path_model import NX
 from steerkit.diagram import maths as m
+from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.metrics import largest, rms
 from steerkit.paths.courses import circle, course
@@ -115,15 +116,6 @@ def test_a_steady_bend_is_held(kind: type[PredictiveSteering], car: Any, v: floa
     assert abs(y.plan[0]) < 5e-3  # of rad/s; turning in takes about 1
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_far_off_it_turns_as_fast_as_it_may(kind: type[PredictiveSteering], side: float) -> None:
-    block = controller(kind, NONLINEAR, delay=0.2)
-    y = asked(block, e=side * 1.5)
-    assert y.status == 0.0
-    assert y.plan[0] == pytest.approx(-side * block.rate_limit, rel=1e-4)
-
-
 @pytest.mark.parametrize("reference", [0.0, PASSAT.l_f, -PASSAT.l_r])
 def test_the_car_in_path_coordinates_is_the_car_in_the_plane(reference: float) -> None:
     """On a circle: from a pose beside it, one by the path's model, one by the plant's own and geometry."""
@@ -194,18 +186,21 @@ def test_the_tables_over_speed_are_the_exact_matrices() -> None:
             np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-7 * np.abs(exact).max())
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[PredictiveSteering]) -> None:
-    path, motor = course("paper"), SteeringActuator(delay=0.2, lag=0.1)
-    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(seed=1))
-    loop = steering_loop(
-        car=placed(NONLINEAR, path, s=180.0),
+def on_course(kind: type[PredictiveSteering], path: Any, driver: SpeedDriver, delay: float, s: float) -> Loop:
+    motor = SteeringActuator(delay=delay, lag=0.1)
+    return steering_loop(
+        car=placed(NONLINEAR, path, s=s),
         path=path,
-        driver=driver,
+        driver=CurveSpeedDriver(path=path, driver=driver),
         actuator=motor,
         controller=kind.of(NONLINEAR, motor),
         reference=PASSAT.l_f,
     )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[PredictiveSteering]) -> None:
+    loop = on_course(kind, course("paper"), SpeedDriver(seed=1), 0.2, 180.0)
     log = simulate(loop, 25.0, record=["path.e", "controller.status", "controller.residual"])
     settled = log["path.e"][300:]
     assert (log["controller.status"] == 0.0).all()
@@ -215,16 +210,7 @@ def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[P
 
 
 def test_a_circle_is_driven_without_a_steady_error() -> None:
-    path, motor = circle(20.0), SteeringActuator(delay=0.1, lag=0.1)
-    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=6.0, v_max=6.0))
-    loop = steering_loop(
-        car=placed(NONLINEAR, path),
-        path=path,
-        driver=driver,
-        actuator=motor,
-        controller=MPC.of(NONLINEAR, motor),
-        reference=PASSAT.l_f,
-    )
+    loop = on_course(MPC, circle(20.0), SpeedDriver(v_min=6.0, v_max=6.0), 0.1, 0.0)
     assert largest(simulate(loop, 15.0, record=["path.e"])["path.e"][-300:]) < 2e-3
 
 

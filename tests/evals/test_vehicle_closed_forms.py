@@ -174,16 +174,6 @@ def test_a_car_at_rest_stays_where_it_is(cls):
 
 
 @pytest.mark.parametrize("cls", PLANTS)
-def test_a_car_comes_to_rest_and_starts_again(cls):
-    plant = cls(vehicle=VW_PASSAT)
-    x = driven(plant, 3.0, 6.0, 3.0)[-1]
-    stopped = driven(plant, 3.0, 0.0, 3.0, x)[-1]
-    assert abs(stopped.r) < 1e-12
-    assert out(plant, stopped).v == pytest.approx(0.0, abs=1e-12)
-    assert out(plant, driven(plant, 3.0, 6.0, 3.0, stopped)[-1]).r == pytest.approx(x.r, rel=1e-6)
-
-
-@pytest.mark.parametrize("cls", PLANTS)
 def test_a_y_is_the_acceleration_of_the_centre_of_gravity(cls):
     plant = cls(vehicle=VW_PASSAT, dt=1e-3)
     states = driven(plant, 2.0, 6.0, 0.3)

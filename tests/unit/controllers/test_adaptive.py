@@ -13,14 +13,11 @@ from steerkit.compiled import compile
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
-from steerkit.diagram.simulation import simulate
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
-from steerkit.learning.learner_state import untrained
-from steerkit.learning.settings import setting as named
 from steerkit.paths.courses import circle
 from steerkit.scenario import Scenario
-from steerkit.scenario.drive import assembled, controller, drive_loop
+from steerkit.scenario.drive import controller, drive_loop
 from steerkit.vehicles import vehicle
 from tests.support.ranges import keeps_range
 from tests.support.steered_car import answered, steered
@@ -175,21 +172,6 @@ def test_commands_faster_than_a_wheel_can_turn_do_not_change_the_ratio() -> None
     for k in range(200):
         x = block.update(0.05 * k, x, block.U(**HERE | {"r": 0.2 * (-1.0) ** (k // 20)}), block.Y(2.0 * (-1.0) ** k))
     assert block.steering.output(0.0, block._states(x)[-1], ()).ratio == pytest.approx(before, abs=1e-9)
-
-
-def largest_e_under(recovery: str) -> float:
-    """Largest |e| from 10 to 15 s on [m], where only the recovery steers, and does not know of 0.35 s of delay."""
-    place = Scenario.under("hard", steering={"delay": 0.35, "lag": 0.28}, knowledge={"delay": 0.0}, recovery=recovery)
-    setting = named("default")
-    never = replace(untrained(setting, 0), ready_from=math.inf)
-    loop = assembled(place, never, doe=setting.element(place.nominal), recovery=place.recovery_controller())
-    e = simulate(loop, 15.0, every=round(0.05 / loop.dt), allow_nonfinite=True)["path.e"]
-    return float(np.abs(e[200:]).max())
-
-
-def test_as_a_recovery_it_can_recover_a_car_of_unknown_delay() -> None:
-    assert largest_e_under("adaptive") < 0.15
-    assert largest_e_under("auto") > 1.0
 
 
 def rms(name: str, scenario: Scenario) -> tuple[float, float]:

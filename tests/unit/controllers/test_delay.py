@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any, final
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.compiled import compile
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
-from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import PlainAngle
@@ -24,11 +23,11 @@ from steerkit.paths.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import SingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, SpeedDriver
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
-from steerkit.vehicles.rollout import slewed, yaw_gain
+from steerkit.vehicles.rollout import yaw_gain
 
 PASSAT = vehicle("vw-passat")
 SLOW: dict[str, Any] = {"slew": 5.0, "a_y_limit": 3.0}
@@ -213,43 +212,6 @@ def test_a_steering_with_another_gain_is_predicted_as_it_is() -> None:
     assert len(quick.init()) == n + 1 + 2
 
 
-@final
-@dataclass(frozen=True)
-class YawRateSeen(Block):
-    """Answers with the yaw rate that it is shown."""
-
-    r = In("rad/s")
-    delta_sw = Out("rad")
-
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(u.r)
-
-
-def test_a_slow_wheel_has_been_on_its_way_all_the_sample() -> None:
-    """A wheel turned evenly, then held, and a yaw rate that follows it as the model's does: nothing is wrong with the
-    model, so its prediction is what comes."""
-    v, dt, last, fine = 12.0, 0.05, 19, 200
-    block = around(dt, 0.0, block=YawRateSeen(), slew=5.0, preview_points=40)
-    model = block.model
-    rate = slewed(model, v)
-    per_kappa, fade = model.wheelbase + model.understeer * v * v, 1.0 / (model.yaw_time * v)
-    x: Any = None
-    r = 0.0
-    for k in range(last + 1):
-        wheel = rate * dt * max(0, k - 1)  # a command of the first sample turns it from the second on
-        kappa = math.tan(wheel / model.steer_ratio) / per_kappa
-        u = AT_REST | {"v": v, "r": r, "delta_sw_meas": wheel, "preview": (kappa,) * 40}
-        x = block.settle(0.0, block.init(), block.D(**u)) if x is None else x
-        if k == last:
-            expected = r + (v * kappa - r) * (1.0 - math.exp(-fade * dt))
-            assert block.output(0.0, x, block.D(**u)).delta_sw == pytest.approx(expected, rel=6e-3)
-            return
-        x = block.update(0.0, x, block.U(**u), block.Y(2.0 if k < last - 1 else rate * dt * (last - 1)))
-        for i in range(fine):
-            turned = wheel + (rate * dt * (i + 0.5) / fine if k > 0 else 0.0)
-            r += dt / fine * fade * (v * math.tan(turned / model.steer_ratio) / per_kappa - r)
-
-
 def test_broken_commands_and_signals_pass() -> None:
     block = delayed_stanley(PASSAT, delay=0.2, lag=0.1)
     u = block.U(preview=(0.0,) * block.preview_points, **AT_REST)
@@ -275,26 +237,3 @@ def test_it_wraps_only_what_it_can_serve() -> None:
         around(0.1, -1.0)
     with pytest.raises(ValueError, match=r"dt = 0.01 s, but the wrapped block has 0.05 s"):
         DelayPredictor(block=Stanley.of(PASSAT), dt=0.01)
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.2])
-def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> None:
-    """Nonlinear car, 0.1 s lag; the driver would drive 9 m/s. Tyres and ratio off: still within 0.3 m."""
-    path = course("paper")
-    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=9.0, v_max=9.0))
-    loop = steering_loop(
-        car=placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path),
-        path=path,
-        driver=driver,
-        controller=delayed_stanley(PASSAT, delay=delay, lag=0.1),
-        actuator=SteeringActuator(delay=delay, lag=0.1),
-        reference=PASSAT.l_f,
-    )
-    stiffness, ratio = PASSAT.c_f * np.array([1.0, 0.7]), PASSAT.steer_ratio * np.array([1.0, 1.1])
-    cars = {"car.vehicle.c_f": stiffness, "car.vehicle.steer_ratio": ratio}
-    fast = compile(loop, backend="python", record=["path.e", "path.progress"], every=5, parameters=list(cars))
-    log = fast.run(130.0, parameters=cars)
-    assert log["path.progress"][-1].min() > path.length
-    largest = np.abs(log["path.e"]).max(axis=0)
-    assert largest[0] < 0.1
-    assert largest[1] < 0.3

@@ -174,9 +174,6 @@ def test_standstill_reverse_and_nan_give_a_defined_command() -> None:
     u = dict(e=0.2, e_dot=0.0, preview=(0.0,) * 3, v=0.0, beta=0.0, r=0.0, delta_sw_meas=0.0)
     for v in (0.0, -3.0, 50.0):
         assert math.isfinite(lqr.output(0.0, lqr.init(), lqr.D(**(u | {"v": v}))).delta_sw)
-    for name in u:
-        bad = (math.nan,) * 3 if name == "preview" else math.nan
-        assert math.isnan(lqr.output(0.0, lqr.init(), lqr.D(**(u | {name: bad}))).delta_sw)
     after = lqr.update(0.0, lqr.init(), lqr.U(**u), lqr.Y(math.nan))
     assert all(map(math.isfinite, after))
 

@@ -269,16 +269,6 @@ def test_no_adversary_leaves_the_path_with_a_car_that_is_not_as_believed(kind: s
     assert (log["safety.share"] > 0.0).any()
 
 
-def test_a_start_in_a_bend_with_a_straight_wheel_leaves_the_bound_and_is_brought_back() -> None:
-    """Not promised: for a second the car goes where the wheel, which can turn no faster, lets it."""
-    begins_in_a_bend = WORST.with_(course="random-12", driver={"v_min": 7.0, "v_max": 7.0}, vehicle={"ratio": 1.1})
-    both = [np.abs(driven(kind, begins_in_a_bend)["path.e"]) for kind in ("left", "right")]
-    assert both[0][:20].tolist() == both[1][:20].tolist(), "nothing but the backup"
-    for e in both:
-        assert 0.5 < e[:40].max() < 1.0
-        assert e[50:].max() < 0.5
-
-
 def test_without_the_filter_an_adversary_leaves_it_at_once() -> None:
     free = simulate(assembled(WORST, Adversary()), 3.0, every=5)
     assert np.abs(free["path.e"]).max() > 2.0

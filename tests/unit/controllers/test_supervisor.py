@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import casadi
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -113,39 +114,6 @@ def test_thresholds_are_within_their_ranges() -> None:
         keeps_range(Supervisor, name, interval)
 
 
-def handed_over(doe: Any, e: list[float], actions: list[float], recovery: list[float]) -> tuple[Log, np.ndarray]:
-    """A learner with a DOE, under a supervisor; the log, and the jump of the wheel into every sample."""
-    supervisor = Supervisor()
-    scripts = {
-        "e": Script(values=tuple(e)),
-        "policy": Script(values=tuple(actions)),
-        "recovery": Script(values=tuple(recovery)),
-        "ready": Script(values=(1.0,)),
-    }
-    wires = [
-        (scripts["e"].length, supervisor.e),
-        (scripts["policy"].angle, doe.action),
-        (scripts["recovery"].angle, supervisor.recovery),
-        (scripts["ready"].flag, supervisor.ready),
-        (doe.delta_sw, supervisor.learner),
-        (supervisor.delta_sw, doe.applied),
-    ]
-    loop = Loop(blocks={**scripts, "doe": doe, "supervisor": supervisor}, wires=wires)
-    log = simulate(loop, len(e) * doe.dt)
-    return log, np.diff(log["supervisor.delta_sw"])
-
-
-def test_at_hand_over_the_wheel_moves_by_one_action_and_does_not_jump() -> None:
-    """Recovery holds 96 degrees when the learner takes over: it goes on from there."""
-    angle, action = radians_of(96.0), radians_of(10.0)
-    e = [0.3, 0.2, 0.15, 0.05, 0.0, 0.0]
-    log, jumps = handed_over(Integrator(), e, actions=[action], recovery=[angle])
-    assert log["supervisor.learning"].tolist() == [0, 0, 0, 1, 1, 1]
-    assert log["supervisor.delta_sw"][2] == angle
-    assert jumps[2:] == pytest.approx([action] * 3)
-    assert log["doe.state"][3] == angle
-
-
 @settings(max_examples=50)
 @given(
     e=st.lists(st.floats(-0.7, 0.7), min_size=2, max_size=20),
@@ -155,8 +123,20 @@ def test_at_hand_over_the_wheel_moves_by_one_action_and_does_not_jump() -> None:
 def test_whenever_the_learner_steers_the_wheel_moves_by_at_most_one_step(
     e: list[float], steps: list[float], recovery: list[float]
 ) -> None:
-    log, jumps = handed_over(Integrator(), e, [radians_of(a) for a in steps], recovery)
-    learning = log["supervisor.learning"][1:] == 1.0
+    """A learner with an integrator, which goes on from the angle that the recovery controller has applied."""
+    supervisor, doe = Supervisor(), Integrator()
+    signals = dict(e=e, policy=[radians_of(a) for a in steps], recovery=recovery, ready=ON)
+    scripts = {name: Script(values=tuple(values)) for name, values in signals.items()}
+    wires = [
+        (scripts["e"].length, supervisor.e),
+        (scripts["policy"].angle, doe.action),
+        (scripts["recovery"].angle, supervisor.recovery),
+        (scripts["ready"].flag, supervisor.ready),
+        (doe.delta_sw, supervisor.learner),
+        (supervisor.delta_sw, doe.applied),
+    ]
+    log = simulate(Loop(blocks={**scripts, "doe": doe, "supervisor": supervisor}, wires=wires), len(e) * doe.dt)
+    jumps, learning = np.diff(log["supervisor.delta_sw"]), log["supervisor.learning"][1:] == 1.0
     assert (np.abs(jumps[learning]) <= radians_of(60.0) + 1e-12).all()
 
 
@@ -184,39 +164,21 @@ class Fragile(Block):
         return (x[0] + 1.0,)
 
 
-def guarded(where: str) -> tuple[Loop, Log]:
-    learner, supervisor = ExceptionGuard(block=Fragile(where=where)), Supervisor()
-    e, recovery, ready = Script(values=(0.0,)), Script(values=(3.0,)), Script(values=(1.0,))
-    loop = Loop(
-        blocks={"e": e, "recovery": recovery, "ready": ready, "learner": learner, "supervisor": supervisor},
-        wires=[
-            (e.length, learner.u),
-            (e.length, supervisor.e),
-            (learner.delta_sw, supervisor.learner),
-            (recovery.angle, supervisor.recovery),
-            (ready.flag, supervisor.ready),
-        ],
-    )
-    return loop, simulate(loop, 0.25, allow_nonfinite=True)
-
-
-def test_an_exception_in_the_learner_means_recovery_at_once(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("where", ["output", "update"])
+def test_an_exception_is_nan_on_all_outputs_and_leaves_the_state_as_it_was(
+    where: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    guard: Any = ExceptionGuard(block=Fragile(where=where))
+    x = guard.update(0.0, guard.init(), guard.U(0.0), guard.output(0.0, guard.init(), guard.D(0.0)))
     with caplog.at_level(logging.ERROR, logger="steerkit"):
-        _, log = guarded("output")
-    assert log["supervisor.delta_sw"].tolist() == [1, 1, 3, 3, 3]
-    assert log["supervisor.fault"].tolist() == [0, 0, 1, 1, 1]
-    assert np.isnan(log["learner.fan"][2:]).all()
-    assert log["learner.fan"].shape == (5, 3)
-    assert "Fragile.output failed at t = 0.1 s" in caplog.text
+        y = guard.output(0.1, x, guard.D(0.0))
+        after = guard.update(0.1, x, guard.U(0.0), y)
+    assert (math.isnan(y.delta_sw), np.isnan(y.fan).tolist()) == (where == "output", [where == "output"] * 3)
+    assert (x, after) == ((1.0,), (2.0,) if where == "output" else (1.0,))
+    assert f"Fragile.{where} failed at t = 0.1 s" in caplog.text
     assert "ZeroDivisionError: no net" in caplog.text
-
-
-def test_an_exception_in_update_leaves_the_state_as_it_was(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.ERROR, logger="steerkit"):
-        loop, log = guarded("update")
-    assert log.state is not None
-    assert loop.block_state(log.state, "learner") == (2.0,)
-    assert "Fragile.update failed at t = 0.1 s" in caplog.text
+    with pytest.raises(ZeroDivisionError):  # while a loop is traced
+        getattr(guard, where)(casadi.SX(0.1), x, guard.D(0.0), *[y] * (where == "update"))
 
 
 def test_a_guard_is_like_the_block_that_it_guards() -> None:
