@@ -99,14 +99,10 @@ class DelayCompensator:
     """Sample time [s]."""
 
     def __post_init__(self) -> None:
-        whole = isinstance(self.samples, int) and 0 <= self.samples <= LONGEST
-        require(
-            whole or m.is_symbol(self.samples),
-            "DelayCompensator",
-            f"samples = {self.samples!r}, expected 0 to {LONGEST}",
-        )
-        if not m.is_symbol(self.trust):
-            require(0.0 < self.trust <= 1.0, "DelayCompensator", f"trust = {self.trust}, expected 0 < trust <= 1")
+        where, samples, trust = "DelayCompensator", self.samples, self.trust
+        whole = m.is_symbol(samples) or (isinstance(samples, int) and 0 <= samples <= LONGEST)
+        require(whole, where, f"samples = {samples!r}, expected 0 to {LONGEST}")
+        require(m.is_symbol(trust) or 0.0 < trust <= 1.0, where, f"trust = {trust}, expected 0 < trust <= 1")
 
     @property
     def numbers(self) -> tuple[Any, ...]:

@@ -186,11 +186,6 @@ class Lqr(LimitedLaw):
     e_reach: Scalar | None = None
     """The car is taken to be at most so far off [m], so that it comes at no steeper an angle; None: no bound."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        columns = self.table.rows.shape[1] - _MOTION - self.preview_points
-        require(columns >= 1, "Lqr", f"table of {self.table.rows.shape[1]} columns, expected 5 + commands + preview")
-
     @classmethod
     def of(
         cls,

@@ -14,6 +14,11 @@ from steerkit._support.files import read_text
 from steerkit.vehicles.parameters import Vehicle
 
 FORMAT = "steerkit vehicle 1"
+_REMARKS = {
+    "vehicle": "  # SI and radians; cornering stiffness per axle",
+    "steering": "  # from the command, or the recorded angle, to the road wheels: s, s, rad",
+    "estimates": "  # 95 % intervals",
+}
 
 
 def vehicle_of(text: str, where: str) -> Vehicle:
@@ -29,34 +34,24 @@ def vehicle_of(text: str, where: str) -> Vehicle:
         raise ValueError(f"{where}: {error}") from error
 
 
-def vehicle_text(
-    car: Vehicle,
-    *,
-    steering: Mapping[str, float] | None = None,
-    estimates: Mapping[str, Mapping[str, Any]] | None = None,
-    provenance: Mapping[str, Any] | None = None,
-) -> str:
-    """The text of a vehicle file; numbers come back bit for bit."""
-    rows = [f"format = {json.dumps(FORMAT)}", "", "[vehicle]  # SI and radians; cornering stiffness per axle"]
-    rows += [f"{f.name} = {_value(getattr(car, f.name))}" for f in dataclasses.fields(car)]
-    if steering:
-        rows += ["", "[steering]  # from the command, or the recorded angle, to the road wheels: s, s, rad"]
-        rows += [f"{key} = {_value(value)}" for key, value in steering.items()]
-    for name, table in (estimates or {}).items():
-        entries = ", ".join(f"{key} = {_value(value)}" for key, value in table.items())
-        rows += ["", "[estimates]  # 95 % intervals"] if "[estimates]  # 95 % intervals" not in rows else []
-        rows += [f"{name} = {{ {entries} }}"]
-    if provenance:
-        rows += ["", "[provenance]", *(f"{key} = {_value(value)}" for key, value in provenance.items())]
+def vehicle_text(car: Vehicle, **more: Mapping[str, Any] | None) -> str:
+    """The text of a vehicle file; numbers come back bit for bit.
+
+    more: its tables `steering` (delay, lag [s], offset [rad]), `estimates` (intervals by name) and `provenance`.
+    """
+    rows = [f"format = {json.dumps(FORMAT)}"]
+    for name, table in ({"vehicle": dataclasses.asdict(car)} | more).items():
+        if table:
+            rows += ["", f"[{name}]{_REMARKS.get(name, '')}", *(f"{key} = {_value(v)}" for key, v in table.items())]
     return "\n".join(rows) + "\n"
 
 
 def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{key} = {_value(v)}' for key, v in value.items())} }}"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_value(v) for v in value) + "]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    return repr(float(value))
+        return f"[{', '.join(map(_value, value))}]"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(float(value))
 
 
 def text_of(file: str | Path) -> str:

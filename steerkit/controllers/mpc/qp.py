@@ -22,16 +22,13 @@ _HPIPM = {"mode": "speed", "iter_max": 40, "mu0": 1e-4} | dict.fromkeys(
 
 
 class Statement(NamedTuple):
-    """A programme in CasADi's form."""
+    """A programme in CasADi's form: what changes from sample to sample -> `DATA`; the number of entries of each u_k;
+    where in z the rates are, and the states x_1, ..., x_N, one after the other."""
 
     data: casadi.Function
-    """What changes from sample to sample -> `DATA`."""
     inputs: list[int]
-    """Entries of u_k, for each stage."""
     rates: list[int]
-    """Where in z the rates are."""
     states: list[int]
-    """Where in z the states x_1, ..., x_N are, one after the other."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -274,17 +274,6 @@ def test_without_the_filter_an_adversary_leaves_it_at_once() -> None:
     assert np.abs(free["path.e"]).max() > 2.0
 
 
-def test_several_steps_correct_more_calmly_than_one() -> None:
-    place = Scenario.under("hard", course="straight", driver={"v_min": 5.0, "v_max": 5.0})
-
-    def chatter(hold: int) -> float:
-        log = driven("left", place, hold=hold)
-        assert np.abs(log["path.e"]).max() < 0.5
-        return float(np.sqrt(np.mean(np.diff(log["safety.correction"][60:]) ** 2)))
-
-    assert chatter(1) > 4.0 * chatter(8)
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

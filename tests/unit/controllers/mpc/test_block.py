@@ -385,14 +385,6 @@ def test_a_broken_input_is_answered_the_same_in_c(name: str) -> None:
     assert set(compiled["controller.fault"]) == {0.0, 1.0}
 
 
-def test_a_batch_is_compiled_car_by_car() -> None:
-    loop = loop_of(controller())
-    program = compile(loop, backend="c", record=["path.e", "controller.delta_sw"])
-    one, three = program.run(1.0), program.run(1.0, batch=3)
-    for name in one.signals:
-        np.testing.assert_array_equal(three[name], np.repeat(one[name][:, None], 3, axis=1))
-
-
 def test_what_cannot_be_compiled_says_so() -> None:
     loop = loop_of(controller(budget=0.01, clock=time.perf_counter))
     with pytest.raises(TraceError, match=r"controller.*\(MPC\).*budget = 0.01 \[s\] needs a clock"):
