@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.signal import correlate
 from scipy.special import stdtrit
 
 from steerkit._support.errors import known as known_name
@@ -416,8 +417,7 @@ class _Problem:
         drive = self.simulator.drive
         full, mask = np.zeros(len(drive.v)), np.zeros(len(drive.v))
         full[self.use], mask[self.use] = error, 1.0
-        size = 2 ** math.ceil(math.log2(2 * len(full)))
-        products, counts = (np.fft.irfft(np.abs(np.fft.rfft(a, size)) ** 2)[: len(full) // 2] for a in (full, mask))
+        products, counts = (correlate(a, a, method="fft")[len(a) - 1 :][: len(a) // 2] for a in (full, mask))
         rho = products / np.maximum(counts, 1.0) / max(products[0] / counts[0], 1e-300)
         crossing = int(np.argmax(rho <= 0.05)) or len(rho)
         return float(drive.dt * (1.0 + 2.0 * np.sum(rho[1:crossing]))), drive.dt * crossing
@@ -436,9 +436,7 @@ class _Problem:
         bread = np.linalg.inv(slopes.T @ slopes / sigma**2 + prior)
         dt, n = self.simulator.drive.dt, len(self.use)
         length = int(min(max(1.0, BLOCK * self._correlation_times(error)[1]) / dt, n / BLOCKS))
-        label = np.minimum(np.arange(n) // length, n // length - 1)
-        scores = np.zeros((label[-1] + 1, len(theta)))
-        np.add.at(scores, label, slopes * error[:, None] / sigma**2)
+        scores = np.add.reduceat(slopes * error[:, None] / sigma**2, length * np.arange(n // length))
         blocks = len(scores)
         scores -= scores.mean(axis=0)
         meat = scores.T @ scores * (blocks / (blocks - 1)) + prior

@@ -163,18 +163,16 @@ class DegradedSensors(Block):
     beta = rear r/max(v, 1 m/s)  where `rear` is given,
     seen(t) = seen(t - dt)  with the probability `lost`, else all of this.
 
-    The older truth is interpolated between samples; a position jumps when satellites are lost and found; the heading of
-    an inertial unit wanders over minutes; and no car in series measures sideslip, so it is taken to be that of a rear
-    axle that does not slide. By default all is off, and beta is what the sensors say.
+    A position jumps when satellites are lost and found; the heading of an inertial unit wanders over minutes; and no
+    car in series measures sideslip, so it is taken to be that of a rear axle that does not slide. By default all is
+    off, and beta is what the sensors say.
 
     inputs: x_in, y_in [m], psi_in [rad], v_in [m/s], beta_in [rad], r_in [rad/s], the truth. outputs: x, y, psi, v,
     beta, r, seen; age [s] of these, as a receiver stamps it: the latency, a dt and, held, dt after dt more. state: the
     seven seen and the six true ones, the share a, whether this sample is lost, o (two), b, the generator's six numbers,
     the shares of the samples on their way, oldest first, then the wrapped sensors'. In a batch, car i draws as sensors
-    of seed + i.
-    errors: ValueError for parameters out of range.
-    source: Nilsson 1998 (jitter); Misra, Enge 2011, ch. 5 and 7 (jumps of a position); Titterton, Weston 2004, ch. 12
-    (drift of a heading); Rajamani 2012, eq. 2.12 (sideslip of a rolling car).
+    of seed + i. errors: ValueError for parameters out of range. source: Nilsson 1998 (jitter); Misra, Enge 2011, ch. 5
+    and 7 (jumps of a position); Titterton, Weston 2004, ch. 12 (drift of a heading); Rajamani 2012, eq. 2.12.
     """
 
     x_in = In("m")
