@@ -23,7 +23,7 @@ _SLOWEST = 1.0  # m/s: below, a wheel steered by torque turns as at this speed
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Steering(Block):
+class DelayedSteering(Block):
     """What turns the steering wheel on a command, late and within bounds; abstract. It starts straight and at rest.
 
     Parameters except delay and dt may be `(N,)` arrays in a batch. errors: ValueError for parameters out of range, or a
@@ -63,7 +63,7 @@ class Steering(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SteeringActuator(Steering):
+class SteeringActuator(DelayedSteering):
     """A steering-wheel motor with pure delay, stops, first-order lag and rate limit, and a ratio error if wanted.
 
     target(t) = sat(gain*delta_sw_cmd(t - delay) + offset),  sat to +-limit,
@@ -93,7 +93,7 @@ class SteeringActuator(Steering):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TorqueSteering(Steering):
+class TorqueSteering(DelayedSteering):
     """A car steered through the torque of its lane keeping, as most cars in series are, for the place of the motor.
 
     Its interface takes no angle, and what it does to the car is best said of the lateral acceleration: that follows
