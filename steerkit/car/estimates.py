@@ -93,8 +93,8 @@ class CarEstimators:
 
     def sample(self, now: Snapshot) -> None:
         """Take note of the next sample, 50 ms after the one before."""
-        readings: Any = {name: _read(getattr(now, name), most) for name, most in _MOST.items()}
-        now = now._replace(**readings)
+        wild: Any = {name: math.nan for name, most in _MOST.items() if not abs(getattr(now, name)) <= most}
+        now = now._replace(**wild)
         before, self._before = self._before, now
         if before is None:
             return
@@ -115,27 +115,16 @@ class CarEstimators:
             self._ages, self._engaged = self._ages + before.report_age, self._engaged + 1
         steers = 1.0 if engaged else 0.0
         command = now.command if engaged else math.nan
-        wheel = now.delta_sw if even else math.nan
-        said = self._wheel()
-        psi = before.psi if even else math.nan
-        motion = {"v": before.v, "r": before.r, "psi": psi, "delay_deviation": _MOTION_UNKNOWN, "active": 1.0}
-        way = {"delay": DT, "lag": 0.0, "lag_deviation": 0.0}  # the wheel comes a sample after the motion
-        for name in _LAGS:
-            self._feed(name, delta_sw_cmd=command, delta_sw_meas=before.delta_sw, v=before.v, active=steers)
-        self._feed("filter", delta_sw=wheel, **motion, **way)
-        self._feed("play", angle=wheel, **motion, **way)
-        self._feed(
-            "friction",
-            angle=command,
-            delta_sw_meas=before.delta_sw,
-            delay=said.delay,
-            lag=said.lag,
-            lag_deviation=said.lag_deviation,
-            v=before.v,
-            active=steers,
-        )
+        wheel, psi = (now.delta_sw, before.psi) if even else (math.nan, math.nan)
+        measured = {"v": before.v, "r": before.r, "psi": psi, "delta_sw_meas": before.delta_sw}
+        steered = {"delta_sw_cmd": command, "angle": command, "active": steers, **self._wheel()._asdict()}
+        # of the motion the wheel comes a sample late
+        moved = {"delta_sw": wheel, "angle": wheel, "active": 1.0, "delay": DT, "delay_deviation": _MOTION_UNKNOWN}
+        moved |= {"lag": 0.0, "lag_deviation": 0.0}
+        for name in self.blocks:
+            self._feed(name, measured | (moved if name in ("filter", "play") else steered))
 
-    def _feed(self, name: str, **given: float) -> None:
+    def _feed(self, name: str, given: dict[str, float]) -> None:
         block = self.blocks[name]
         u = block.U(*[given[port.name] for port in block.inputs])
         self.x[name] = block.update(0.0, self.x[name], u, ())
@@ -174,10 +163,6 @@ class CarEstimators:
         for name in ("understeer", "offset", "rate_zero"):
             every[name] = estimated(y["filter"], name)
         return {name: every[name] for name in ESTIMATES}
-
-
-def _read(value: float, most: float) -> float:
-    return value if abs(value) <= most else math.nan
 
 
 class Watched:

@@ -130,16 +130,9 @@ def session(options: Options) -> Iterator[Session]:
             if options.simulated or not os.path.exists(socket) or not _answers(socket):
                 text = stack.enter_context(_claimed(place := _new_recording(options.recording)))
                 here.recording, log = str(place), text.name
-                server = processes.start_car_server(
-                    options.config,
-                    socket,
-                    recording=here.recording,
-                    channel=channel,
-                    time_scale=options.time_scale,
-                    realtime=options.realtime,
-                    log=text,
-                )
-                started.insert(0, server)
+                how: dict[str, Any] = {"recording": here.recording, "channel": channel, "log": text}
+                how |= {"time_scale": options.time_scale, "realtime": options.realtime}
+                started.insert(0, processes.start_car_server(options.config, socket, **how))
             else:
                 print(f"the car server at {socket} is used as it runs, with its own configuration and recording")
             here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))

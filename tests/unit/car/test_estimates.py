@@ -63,7 +63,7 @@ def test_the_truth_is_in_the_intervals(calibration: Made) -> None:
 def test_a_samples_motion_goes_with_the_next_ones_wheel_and_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command that acted from it on is known with the next; the filter takes the wheel a sample late (`held`)."""
     got: dict[str, dict[str, float]] = {}
-    monkeypatch.setattr(CarEstimators, "_feed", lambda of, name, **given: got.update({name: given}))
+    monkeypatch.setattr(CarEstimators, "_feed", lambda of, name, given: got.update({name: given}))
     one = Snapshot(t=1.0, v=5.0, r=0.1, psi=0.2, delta_sw=0.3, command=0.4, report_age=0.01, mode=Mode.ENGAGED)
     two = Snapshot(t=1.05, v=6.0, r=0.5, psi=0.6, delta_sw=0.7, command=0.8, report_age=0.0, mode=Mode.ENGAGED)
     estimators = CarEstimators(CONFIG)

@@ -9,7 +9,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from steerkit.car.gate import GateLimits, gate, pessimistic
-from steerkit.diagram.units import radians_of
 
 LIMITS = GateLimits()
 any_float = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
@@ -82,17 +81,6 @@ def test_the_speed_is_taken_pessimistically(speeds: list[float]) -> None:
     assert all(v >= abs(s) for s in speeds if math.isfinite(s))
     if not speeds or not all(map(math.isfinite, speeds)):
         assert v >= LIMITS.v_max
-
-
-@pytest.mark.parametrize(("v", "degrees"), [(4.0, 474.0), (6.0, 213.0), (9.0, 97.0)])
-def test_the_curvature_bound_is_just_below_what_3_m_s2_takes(v: float, degrees: float) -> None:
-    """The design's figures are those of an understeering car; the gate reckons with one that does not."""
-    out = 0.0
-    for _ in range(1000):
-        out = gate(LIMITS, radians_of(519.0), out, [v], 0.02).delta_sw
-    exact = LIMITS.steer_ratio * math.atan(LIMITS.wheelbase * LIMITS.a_y_max / v**2)
-    assert exact - 1.5 * LIMITS.quantum <= out <= exact
-    assert 0.88 * radians_of(degrees) < out < radians_of(degrees)
 
 
 WIDE = GateLimits(v_floor=0.1, rate_max=100.0, a_y_max=100.0, jerk_max=1e4)
