@@ -22,23 +22,32 @@ from tests.support.compilers import optimising
 from tests.support.places import ROOT
 
 KEYS = {
-    "calibration": "adaptive_max_e_m adaptive_worst_x adaptive_x_oracle adaptive_x_unadapted_worst coverage_pct delay_error_ms "
-    "delay_seconds delay_yaw_error_ms friction_error_pct offset_error_deg play_error_pct ratio_error_pct",
+    "calibration": (
+        "adaptive_max_e_m adaptive_worst_x adaptive_x_oracle adaptive_x_unadapted_worst coverage_pct "
+        "delay_error_ms delay_seconds delay_yaw_error_ms friction_error_pct offset_error_deg play_error_pct "
+        "ratio_error_pct"
+    ),
     "car_calibration": "coverage_pct delay_lag_valid_pct faults rows steer_ratio_error worst_e_m",
     "car_kill": "controller kills server trainer",
     "car_realtime": "frames_replayed_exactly jitter_p99_ms misses recording_mb rms_e_m steps",
     "gym_steps": "conditions steps_per_cpu_second vector_steps_per_second x_sync_vector_env",
     "learning": "final_rms_e_worst good_median good_share outcomes seeds setting",
-    "mpc_solve": "ltv20_ms ltv20_p99_ms ltv20_raw_qp_ms ltv20_unsolved ltv20_x_raw_qp ltv40_ms nmpc20_ms nmpc20_raw_qp_ms "
-    "nmpc20_x_raw_qp nmpc40_ms",
+    "mpc_solve": (
+        "ltv20_ms ltv20_p99_ms ltv20_raw_qp_ms ltv20_unsolved ltv20_x_raw_qp ltv40_ms nmpc20_ms nmpc20_raw_qp_ms "
+        "nmpc20_x_raw_qp nmpc40_ms"
+    ),
     "nfq_iteration": "decision_numpy_us equal_work memory_x_data seconds seconds_torch vs_torch_rprop_x",
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
-    "throughput": "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_linear_x batch_x "
-    "compiled_c_x interpreted_x largest_difference_m simulate_x steps_per_second",
+    "throughput": (
+        "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_linear_x batch_x "
+        "compiled_c_x interpreted_x largest_difference_m simulate_x steps_per_second"
+    ),
     "tune_stanley": "plain predicted",
-    "vehicle_state": "innovation_ok_pct jump_said_pct nis_mean outage_coverage_pct outage_said_pct rms_x side_coverage_pct "
-    "wheel_noise_x wheel_x wrong_belief_innovation_ok_pct wrong_belief_max_e_m wrong_belief_nis_mean "
-    "wrong_belief_x wrong_belief_x_raw",
+    "vehicle_state": (
+        "innovation_ok_pct jump_said_pct nis_mean outage_coverage_pct outage_said_pct rms_x side_coverage_pct "
+        "wheel_noise_x wheel_x wrong_belief_innovation_ok_pct wrong_belief_max_e_m wrong_belief_nis_mean "
+        "wrong_belief_x wrong_belief_x_raw"
+    ),
 }
 """What each prints, at least."""
 DRIVEN_FOR_LONG = ("throughput", "vehicle_state")
