@@ -586,7 +586,7 @@ class Reading:
         if not isinstance(table, dict):
             self.wrong(
                 f"[protect] {name} = {table!r}, expected {{ counter = ..., crc = ... }}, or, for a frame that has "
-                "neither, {{ period = ... }}: the time between two of them [s], to notice a second sender"
+                "neither, { period = ... }: the time between two of them [s], to notice a second sender"
             )
             return FrameReader(message, mappings)
         self.known(where, table, ("counter", "crc", "period"))
