@@ -83,26 +83,31 @@ def rls_update(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, ga
 def fitted(moments: State, precision: Sequence[float], prior: Sequence[float]) -> Fit:
     """The coefficients theta that lower (y - theta x)^2, summed, plus precision (theta - prior)^2, most.
 
-    By elimination: the matrix is positive definite. Precisions are one over the priors' variances; the weights of
+    By Cholesky's decomposition without roots. Precisions are one over the priors' variances; the weights of
     `rls_update` are one over that of the response's noise.
     """
     p = len(precision)
-    cross = p + p * (p + 1) // 2
-    rows = []
+    place, cross, saved = p, p + p * (p + 1) // 2, 0.0
+    lower, pivots, halves, parts = list[Any](), list[Any](), list[Any](), list[Any]()
     for i, (q, mean) in enumerate(zip(precision, prior)):
-        row = [moments[p + max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] + (q if i == j else 0.0) for j in range(p)]
-        rows.append([*row, moments[cross + i] + q * mean])
-    saved: Scalar = -sum([q * mean * mean for q, mean in zip(precision, prior)])
-    for i, row in enumerate(rows):
-        saved = saved + row[p] * row[p] / row[i]
-        for k in range(i + 1, p):
-            share = rows[k][i] / row[i]
-            rows[k] = [entry - share * above for entry, above in zip(rows[k], row)]
-    parts: list[Scalar] = []
-    for i in reversed(range(p)):
-        known = sum([entry * part for entry, part in zip(rows[i][i + 1 :], parts)])
-        parts.insert(0, (rows[i][p] - known) / rows[i][i])
-    return Fit(tuple(parts), saved, 1.0 / rows[-1][-2])
+        row: list[Scalar] = []
+        pivot, half = moments[place + i] + q, moments[cross + i] + q * mean
+        for j in range(i):
+            entry = moments[place + j]
+            for k in range(j):
+                entry = entry - row[k] * pivots[k] * lower[j][k]
+            share = entry / pivots[j]
+            pivot, half = pivot - share * entry, half - share * halves[j]
+            row.append(share)
+        part = half / pivot
+        saved = saved + half * part - q * mean * mean
+        for values, value in ((lower, row), (pivots, pivot), (halves, half), (parts, part)):
+            values.append(value)
+        place += i + 1
+    for i in range(p - 1, 0, -1):
+        for j in range(i):
+            parts[j] = parts[j] - lower[i][j] * parts[i]
+    return Fit(tuple(parts), saved, 1.0 / pivots[-1])
 
 
 def lowest(costs: Sequence[Scalar], least_curvature: float) -> tuple[Scalar, Scalar, Scalar]:
