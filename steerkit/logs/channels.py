@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import known, require
 from steerkit._support.files import read_toml
 from steerkit.diagram.units import FACTORS, RAD_PER_DEG
 
@@ -146,9 +145,9 @@ def _place(quantity: str, name: str) -> int | None:
     parts = re.split(r"[./]", words(name).strip("./"))
     tails = [".".join(parts[k:]) for k in range(len(parts))]
     units = [ending for ending, unit in _SPELT.items() if unit in UNITS[QUANTITIES[quantity]]]
-    for place, known in enumerate(_NAMES[quantity]):
-        whole = tails if len(known) > 1 else tails[:1]  # a letter alone is the end of many names
-        if any(tail == known or tail in [f"{known}_{unit}" for unit in units] for tail in whole):
+    for place, name_there in enumerate(_NAMES[quantity]):
+        whole = tails if len(name_there) > 1 else tails[:1]  # a letter alone is the end of many names
+        if any(tail == name_there or tail in [f"{name_there}_{unit}" for unit in units] for tail in whole):
             return place
     return None
 
@@ -221,11 +220,10 @@ class ColumnMap:
         """A map from `{quantity: name}` or `{quantity: {column, unit, scale, offset}}`."""
         columns = {}
         for quantity, entry in table.items():
-            require(quantity in QUANTITIES, where, f"'{quantity}' is no quantity{_near(quantity, QUANTITIES)}")
+            known(quantity, QUANTITIES, f"{where}: quantity")
             given = {"column": entry} if isinstance(entry, str) else dict(entry) if isinstance(entry, dict) else {}
-            known = ("column", "unit", "scale", "offset")
-            bad = next((key for key in given if key not in known), "")
-            require(not bad, where, f"{quantity}.{bad} is not known; valid: {', '.join(known)}")
+            for key in given:
+                known(key, ("column", "unit", "scale", "offset"), f"{where}: key of {quantity}")
             require("column" in given, where, f"{quantity} = {entry!r}; give a name or {{ column = ..., unit = ... }}")
             columns[quantity] = Column(
                 str(given["column"]),
@@ -293,18 +291,10 @@ def _found(quantity: str, column: Column, channels: Mapping[str, Channel], where
         bare = name.partition(" [")[0]
         ends = [full for full in channels if full == bare or full.endswith((f"/{name}", f".{name}"))]
         require(len(ends) < 2, where, f"'{name}' for {quantity} may be {' or '.join(ends)}; give the whole name")
-        require(len(ends) == 1, where, f"no column '{name}' for {quantity}{_near(name, channels)}")
-        name = ends[0]
+        name = ends[0] if ends else known(name, channels, f"{where}: column for {quantity}")
     said = channels[name].unit
     unit = column.unit or unit_of(quantity, channels[name])
     if said and not unit:
         units = ", ".join(UNITS[QUANTITIES[quantity]])
         raise ValueError(f"{where}: {name} is in '{said}', and {quantity} may be in {units}; say unit in the map")
     return replace(column, name=name, unit=unit)
-
-
-def _near(name: str, options: Iterable[str]) -> str:
-    options = list(options)
-    near = difflib.get_close_matches(name, options, n=1)
-    hint = f" (did you mean '{near[0]}'?)" if near else ""
-    return f"{hint}; valid: {', '.join(options)}"

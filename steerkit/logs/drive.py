@@ -46,22 +46,18 @@ def aligned(values: dict[str, Array], times: dict[str, Array], where: str, notes
     return {"t": clock, **{quantity: _on(clock, *series.pop(quantity), quantity) for quantity in list(series)}}
 
 
-def in_metres(
-    values: dict[str, Array], times: dict[str, Array], notes: list[str]
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Latitude and longitude as x (east) and y (north) of the first fix [m], unless there are x and y."""
-    lat, lon = values.pop("lat_deg"), values.pop("lon_deg")
-    at = times.pop("lat_deg")
-    times.pop("lon_deg")
+def in_metres(values: dict[str, Array], times: dict[str, Array], notes: list[str]) -> None:
+    """Latitude and longitude become x (east) and y (north) of the first fix [m], unless there are x and y."""
+    lat, lon, at, _ = (of.pop(key) for of in (values, times) for key in ("lat_deg", "lon_deg"))
     known = np.isfinite(lat) & np.isfinite(lon) & (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)
     known &= (lat != 0.0) | (lon != 0.0)  # what a receiver without a fix says
     if "x" in values or not known.any():
-        return values, times
+        return
     first = int(np.argmax(known))
     east, north = east_north(lat, lon, (lat[first], lon[first])).T
     notes.append(f"x, y: east and north of {lat[first]:.6f}, {lon[first]:.6f} [degrees]")
     values |= {"x": np.where(known, east, np.nan), "y": np.where(known, north, np.nan)}
-    return values, times | {"x": at, "y": at}
+    times |= {"x": at, "y": at}
 
 
 def in_order(t: Array, values: Array) -> tuple[Array, Array]:
@@ -293,10 +289,11 @@ def _whole_rows(columns: dict[str, Array], name: str, remarks: list[str]) -> dic
     if lost:
         remarks.append(f"dropped {lost} of {len(finite)} rows that hold no number")
         _keep(columns, finite)
-    stray = _stray(columns["t"])
-    if stray.any():
-        remarks.append(f"dropped {int(stray.sum())} rows whose time is far from that of the rows around them")
-        _keep(columns, ~stray)
+    t = columns["t"]
+    stray = standing_off(t, max(5.0 * float(np.median(np.abs(np.diff(t)))), 0.25))  # of a spoilt digit, say
+    if len(stray):
+        remarks.append(f"dropped {len(stray)} rows whose time is far from that of the rows around them")
+        _keep(columns, np.delete(np.arange(len(t)), stray))
     t = columns["t"]
     back = int(np.sum(np.diff(t) < 0.0))
     if back:
@@ -315,16 +312,6 @@ def _whole_rows(columns: dict[str, Array], name: str, remarks: list[str]) -> dic
         _keep(columns, new)
         remarks.append(f"dropped {int(np.sum(~new))} rows that repeat the time of the one before")
     return columns
-
-
-def _stray(t: Array) -> NDArray[np.bool_]:
-    """Lone rows whose time is neither between that of their neighbours nor near it: of a spoilt digit, say."""
-    stray = np.zeros(len(t), dtype=bool)
-    before, at, after = t[:-2], t[1:-1], t[2:]
-    step = float(np.median(np.abs(np.diff(t))))
-    off = np.maximum(np.maximum(at - np.maximum(before, after), np.minimum(before, after) - at), 0.0)
-    stray[1:-1] = (before <= after) & (off > max(5.0 * step, 0.25))
-    return stray if stray.sum() <= 1 + 0.01 * len(t) else np.zeros_like(stray)
 
 
 def _steps(t: Array, name: str, remarks: list[str]) -> tuple[float, NDArray[np.intp]]:

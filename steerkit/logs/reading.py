@@ -257,7 +257,7 @@ def drive_of(
         kind = "not known: say steer_ratio" if steer_ratio is None else "as given"
         notes.append(f"delta_sw = {ratio:g} * the road wheels' angle: the log has no other; the ratio is {kind}")
     if {"lat_deg", "lon_deg"} <= values.keys():
-        values, times = in_metres(values, times, notes)
+        in_metres(values, times, notes)
     return Drive.of(aligned(values, times, where, notes), name=name, dt=dt, trusted=trusted, notes=notes, digest=digest)
 
 

@@ -49,7 +49,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
         (("genesis", "--out", "car.json"), "ends in .toml"),
         (("genesis", "--base", "pasat"), "did you mean 'vw-passat'"),
         (("genesis", "--fix", "lag"), "expected NAME=VALUE"),
-        (("genesis", "--column", "v=speed"), "no column 'speed' for v"),
+        (("genesis", "--column", "v=speed"), "column for v 'speed' is not known"),
     ],
 )
 def test_mistakes_are_one_line(

@@ -85,9 +85,12 @@ def test_names_of_times() -> None:
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        ({"deltasw": "x"}, r"'deltasw' is no quantity \(did you mean 'delta_sw'\?\); valid: t, delta_sw"),
+        ({"deltasw": "x"}, r"quantity 'deltasw' is not known \(did you mean 'delta_sw'\?\); valid: t, delta_sw"),
         ({"v": {"column": "x", "unit": "knots"}}, "unit 'knots' is not known; valid: m/s, km/h"),
-        ({"v": {"column": "x", "units": "m/s"}}, "v.units is not known; valid: column, unit, scale, offset"),
+        (
+            {"v": {"column": "x", "units": "m/s"}},
+            r"key of v 'units' is not known \(did you mean 'unit'\?\); valid: column, unit, scale, offset",
+        ),
         ({"v": {"unit": "m/s"}}, "give a name or"),
         ({"v": {"column": "x", "scale": 0}}, "scale = 0"),
     ],

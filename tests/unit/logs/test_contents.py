@@ -36,4 +36,7 @@ def test_a_log_without_a_drive_says_why_and_what_could_be(tmp_path: Path) -> Non
     assert "which column is delta_sw, v? Columns: yaw_rate, other" in found.trouble
     assert {row.name: row.quantity for row in found.rows} == {"yaw_rate": "(r)", "other": ""}
     assert len(picture(found).axes) == 2
-    assert "no column 'speed' for v" in contents(read_log(tmp_path / "a.csv"), ColumnMap.of({"v": "speed"})).trouble
+    assert (
+        "column for v 'speed' is not known"
+        in contents(read_log(tmp_path / "a.csv"), ColumnMap.of({"v": "speed"})).trouble
+    )

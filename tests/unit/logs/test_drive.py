@@ -170,7 +170,8 @@ def test_positions_become_metres_and_a_receiver_without_a_fix_is_nowhere() -> No
     t = np.arange(4.0)
     lat, lon = np.array([0.0, 48.0, 48.0, 48.001]), np.array([0.0, 9.0, 9.001, 9.0])
     notes: list[str] = []
-    values, times = in_metres({"lat_deg": lat, "lon_deg": lon}, {"lat_deg": t, "lon_deg": t}, notes)
+    values, times = {"lat_deg": lat, "lon_deg": lon}, {"lat_deg": t, "lon_deg": t}
+    in_metres(values, times, notes)
     assert np.isnan(values["x"][0])
     # WGS84: radii of curvature at 48 degrees are 6374 km along the meridian, 6390 km across
     np.testing.assert_allclose(

@@ -50,18 +50,6 @@ def test_roads_of_the_formats_writer_join_up(name: str, tmp_path: FilePath) -> N
         assert abs(math.remainder(psi - after.psi0, 2.0 * math.pi)) < 1e-6
 
 
-@pytest.mark.parametrize("name", road_files.ROADS)
-def test_reference_lines_are_a_peers(name: str, tmp_path: FilePath) -> None:
-    network = pytest.importorskip("pyxodr.road_objects.network", reason="the extra `peers` is not installed")
-    file = road_files.opendrive(road_files.ROADS[name](), tmp_path / "road.xodr")
-    roads, _, _ = read(str(file))
-    (theirs,) = network.RoadNetwork(str(file), resolution=0.1).get_roads()
-    s = np.linspace(0.0, roads["1"].length, 20_001)
-    x, y, _ = roads["1"].reference(s)
-    for there in np.asarray(theirs.reference_line)[::9, :2]:
-        assert np.hypot(x - there[0], y - there[1]).min() < 0.01
-
-
 def test_lanes_lie_beside_the_line_and_run_as_traffic_does(tmp_path: FilePath) -> None:
     lanes = section(0.0, left=lane(1, 3.0) + lane(2, 2.0), right=lane(-1, 3.5) + lane(-2, 4.0))
     file = road_files.by_hand(tmp_path / "a.xodr", ARC, length=60.0, lanes=lanes)
