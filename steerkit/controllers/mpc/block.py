@@ -234,7 +234,7 @@ class PredictiveSteering(Block):
         age = m.where(y.status == SOLVED, 0.0, x[-1] + 1.0)
         return (*x[1:n], y.delta_sw, *y.plan[1:], 0.0 * y.plan[0], age)
 
-    def _steer(self, x: tuple[Any, ...], u: Any) -> Any:
+    def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
         """The outputs: of one car, or of a batch one by one."""
         values = (*x, *u[:6], *u.preview)
         if {*map(type, values)} == {float}:
@@ -341,9 +341,6 @@ class MPC(PredictiveSteering):
     nonlinear `rhs`. So it is one convex programme a sample, and exact in steady bends. See `PredictiveSteering`.
     """
 
-    def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
-        return self._steer(x, u)
-
     def motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
         n, soft = self.horizon, self.qp.soft
         a, b, row, _ = table
@@ -366,9 +363,6 @@ class NonlinearMPC(PredictiveSteering):
     sample: prepared with its own speed and preview, and together short against dt. See `PredictiveSteering`.
     source: Diehl, Bock, Schloeder 2005; Gros et al. 2020.
     """
-
-    def output(self, t: Any, x: tuple[Any, ...], u: Any) -> Any:
-        return self._steer(x, u)
 
     def motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
         n, soft = self.horizon, self.qp.soft
