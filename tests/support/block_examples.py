@@ -14,6 +14,7 @@ import numpy as np
 from steerkit.analysis import FromControl, Tap
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
+from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.lqr import Lqr
@@ -57,6 +58,19 @@ PASSAT = vehicle("vw-passat")
 _round = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
 OVAL = Path.from_waypoints(np.column_stack((25 * np.cos(_round), 15 * np.sin(_round))), closed=True, spacing=3.0)
 _rng = np.random.default_rng(0)
+LATE = DelayCompensator(
+    samples=3,
+    now=0.004,
+    before=0.005,
+    earlier=0.003,
+    back=0.2,
+    slip=4e-4,
+    yaw=0.38,
+    straight=0.05,
+    loss=1e-3,
+    tail=1e-3,
+)
+FAST = dataclasses.replace(LATE, fast=1.0, trust=0.5)
 NETS = tuple(
     (_rng.normal(size=(5, 7)), _rng.normal(size=5), _rng.normal(size=(1, 5)), _rng.normal(size=1)) for _ in range(2)
 )
@@ -167,6 +181,8 @@ EXAMPLES = [
     Example(NfqPolicy(nets=NETS)),
     Example(NfqPolicy(nets=NETS, combine="max", ready_from=0.1)),
     Example(NfqPolicy(nets=NETS, combine="disagreement")),
+    Example(NfqPolicy(nets=NETS, preview_points=PREVIEW, forecast=LATE, continuous=True)),
+    Example(NfqPolicy(nets=NETS, preview_points=PREVIEW, forecast=FAST), blind=("psi_e",)),
     Example(Exploring(block=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
     Example(TargetShift()),
     Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),

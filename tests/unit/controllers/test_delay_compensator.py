@@ -7,19 +7,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import casadi
 import numpy as np
 import pytest
 
-from steerkit.controllers.delay_compensator import (
-    LENGTH,
-    LONGEST,
-    PREVIEW,
-    CourseMotion,
-    DelayCompensator,
-    moved,
-    nothing,
-)
+from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, CourseMotion, DelayCompensator, moved
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq.iterate import STANDARD, mirror_image
 from steerkit.learning.nfq.rprop import new_net
@@ -94,31 +85,6 @@ def test_noise_is_filtered_and_a_nan_is_forgotten() -> None:
         x = car.remember(x, u)
         assert np.isfinite(x).all() or 30 <= k < 33
     assert 0.0 < np.std(errors) < 0.006  # of 0.01
-
-
-@pytest.mark.parametrize("kind", [CAR, FAST], ids=["slow", "fast"])
-def test_the_same_in_batches_and_symbols(kind: DelayCompensator) -> None:
-    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=kind, continuous=True)
-    rng = np.random.default_rng(2)
-    values, kappa = rng.normal(0.0, 0.1, (6, 50)), rng.normal(0.0, 0.02, (PREVIEW, 50))
-    values[2] += 6.0
-    memory = rng.normal(0.0, 0.1, (len(nothing()), 50))
-    memory[-2] += 6.0
-    batch = policy.output(0.0, tuple(memory), policy.D(*values, tuple(kappa)))
-    next_state = policy.update(0.0, tuple(memory), policy.U(*values, tuple(kappa)), batch)
-    s = casadi.SX.sym("s", 6)
-    k, x = casadi.SX.sym("k", PREVIEW), casadi.SX.sym("x", len(memory))
-    u = policy.D(*[s[i] for i in range(6)], tuple(k[i] for i in range(PREVIEW)))
-    y = policy.output(0.0, tuple(x[i] for i in range(len(memory))), u)
-    traced = casadi.Function("policy", [s, k, x], [y.action, y.q])
-    for car in range(50):
-        here = policy.D(*[float(v) for v in values[:, car]], tuple(map(float, kappa[:, car])))
-        one = policy.output(0.0, tuple(map(float, memory[:, car])), here)
-        assert (one.action, one.q) == pytest.approx((batch.action[car], batch.q[car]), abs=1e-12)
-        found = traced(values[:, car], kappa[:, car], memory[:, car])
-        assert [float(f) for f in found] == pytest.approx([one.action, one.q], abs=1e-12)
-        after = policy.update(0.0, tuple(map(float, memory[:, car])), here, one)
-        np.testing.assert_allclose(after, [row[car] for row in next_state], atol=1e-15)
 
 
 def test_a_policy_with_a_forecast_comes_back_bit_for_bit(tmp_path: Path) -> None:
