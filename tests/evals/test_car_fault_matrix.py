@@ -20,17 +20,11 @@ from tests.support.car_world import World, setup
 
 
 def plant_fault(kind: str, target: str, amount: float = 0.0) -> Callable[[World], None]:
-    def act(world: World) -> None:
-        world.car.faults.append(Fault(kind=kind, target=target, start=world.t, amount=amount))
-
-    return act
+    return lambda world: world.car.faults.append(Fault(kind=kind, target=target, start=world.t, amount=amount))
 
 
 def ask(change: Callable[[float, float], tuple[float, float] | None]) -> Callable[[World], None]:
-    def act(world: World) -> None:
-        world.tampered = change
-
-    return act
+    return lambda world: setattr(world, "tampered", change)
 
 
 def miss_deadlines(world: World) -> None:
@@ -38,10 +32,7 @@ def miss_deadlines(world: World) -> None:
 
 
 def sleep(seconds: float) -> Callable[[World], None]:
-    def act(world: World) -> None:
-        world.asleep_until = world.t + seconds
-
-    return act
+    return lambda world: setattr(world, "asleep_until", world.t + seconds)
 
 
 class Case(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -57,28 +58,17 @@ def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path
     assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 200
 
 
-class Stopwatch:
-    """A clock in which each solution takes as long as the test says."""
-
-    def __init__(self) -> None:
-        self.t, self.taken = 0.0, 0.001
-
-    def __call__(self) -> float:
-        self.t += self.taken
-        return self.t
-
-
 def test_a_late_solution_falls_back_to_the_plan_then_to_stanley_and_comes_back() -> None:
-    clock = Stopwatch()
-    world = engaged(block_of(clock=clock))
+    taken, times = [0.001], itertools.accumulate(iter(lambda: taken[0], None))
+    world = engaged(block_of(clock=lambda: next(times)))
     assert (watched(world, 1.0)["status"] == SOLVED).all()
-    clock.taken = 2.0 * loops.BUDGET
+    taken[0] = 2.0 * loops.BUDGET
     late = watched(world, 3.0)
     assert (late["fault"] == LATE).all()
     assert late["status"].tolist()[:5] == [PLAN] * 4 + [FALLBACK]
     assert (late["status"][4:] == FALLBACK).all()
     assert abs(late["e"]).max() < 0.1  # the fallback law drives as well
-    clock.taken = 0.001
+    taken[0] = 0.001
     assert (watched(world, 1.0)["status"] == SOLVED).all()
     assert world.mode is Mode.ENGAGED
 
@@ -101,9 +91,7 @@ def test_every_controller_by_name_drives_a_bend_on_the_car(name: str) -> None:
     block: Any = loops.controller_named(name, setup()[0]).block
     if hasattr(type(block), "budget"):
         block = replace(block, clock=None, budget=None)
-    world = World(s=120.0, v=(5.0, 6.0), controller=block)
-    world.bring_to(Mode.ENGAGED)
-    worst = 0.0
+    world, worst = engaged(block), 0.0
     while world.t < 7.0:
         world.until(world.t + 0.05)
         worst = max(worst, abs(world.core.senses.e))

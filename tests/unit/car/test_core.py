@@ -140,25 +140,22 @@ def alerts(world: World, since: float) -> list[bool]:
     return [bool(data[2] >> 6 & 1) for data in sent]
 
 
-@pytest.mark.parametrize("how", ["space bar", "off", "override", "torque", "quality", "end"])
+@pytest.mark.parametrize("how", ["space bar", "override", "quality", "end"])
 def test_at_every_takeover_the_kit_is_asked_to_alert_the_human(how: str) -> None:
     """In all five frames that let go; never while it steers, nor in a frame that clears its faults."""
     world = World()
     world.bring_to(Mode.ENGAGED)
     assert not any(alerts(world, 0.0))
-    ended = world.t
-    match how:
-        case "space bar" | "off":
-            world.order(Order.DISENGAGE if how == "space bar" else Order.OFF)
-        case "end":
-            world.handle(End(world.t, "the car server was stopped"))
-        case _:
-            target = "pose" if how == "quality" else "report"
-            world.car.faults.append(Fault(kind=how, target=target, start=world.t, length=0.2))
-    world.until(ended + 0.1)
-    ended = next(t for t, mode, _ in world.modes if t >= ended and mode is not Mode.ENGAGED)
-    world.until(ended + 0.6)
-    assert world.mode is not Mode.ENGAGED
+    if how == "space bar":
+        world.order(Order.DISENGAGE)
+    elif how == "end":
+        world.handle(End(world.t, "the car server was stopped"))
+    else:
+        target = "pose" if how == "quality" else "report"
+        world.car.faults.append(Fault(kind=how, target=target, start=world.t, length=0.2))
+    began = world.t
+    world.until(began + 0.7)
+    ended = next(t for t, mode, _ in world.modes if t >= began and mode is not Mode.ENGAGED)
     assert alerts(world, ended) == [True] * 5
     if world.mode in (Mode.OVERRIDE, Mode.FAULT):
         world.order(Order.ACKNOWLEDGE)
@@ -279,12 +276,10 @@ def test_errors_count_for_a_second() -> None:
 
 def test_arming_takes_the_next_time_stamp_for_an_undelayed_one() -> None:
     core = linked()
-    core.senses.delay = 0.05
-    core.handle(Packet(5.1, 1, encode(Command(Order.ARM))))
-    assert core.senses.delay == 0.0
-    core.senses.delay = 0.05
-    core.handle(Packet(5.2, 1, encode(Command(Order.OFF))))
-    assert core.senses.delay == 0.05
+    for order, delay in ((Order.ARM, 0.0), (Order.OFF, 0.05)):
+        core.senses.delay = 0.05
+        core.handle(Packet(5.1, 1, encode(Command(order))))
+        assert core.senses.delay == delay
 
 
 @pytest.mark.parametrize(("v", "r"), [(5.0, 0.3), (8.0, -0.2), (0.5, 0.1), (-2.0, 0.1)])

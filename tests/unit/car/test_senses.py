@@ -92,7 +92,6 @@ def test_the_oldest_frame_of_a_pose_tells_its_age() -> None:
     assert bench.senses.age(1.0, config().pose_frames) == math.inf
     bench.pose(1.0)
     bench.send("POSE_MOTION", 1.1)
-    bench.send("POSE_POSITION", 1.1, x=10.5)
     assert bench.senses.age(1.1, config().pose_frames) == pytest.approx(0.1, abs=1e-6)
 
 
@@ -203,8 +202,8 @@ def test_what_the_adapter_could_not_read_is_counted_not_obeyed() -> None:
 def stamped(clock: float, seconds: float = 8.0, jump: float = 0.0, at: float = 4.0, gap: float = 0.0) -> Senses:
     """Poses every 10 ms whose clock runs `clock` times as fast; after `at` [s] it jumps, and nothing came for `gap`."""
     bench = Bench()
-    for k in range(round(seconds / 0.01)):
-        t, after = 0.01 * k, 0.01 * k > at
+    for t in (0.01 * k for k in range(round(seconds / 0.01))):
+        after = t > at
         bench.send("POSE_DYNAMICS", 1.0 + t + gap * after, stamp=(clock * t + (jump + gap) * after) % 65.536)
     return bench.senses
 

@@ -142,14 +142,10 @@ def test_every_fault_in_every_state_under_every_order(name: str) -> None:
             assert after.since == 1.0
 
 
-def test_of_what_never_came_nothing_holds() -> None:
-    unknown = "controller gone, report stale, pose stale, pose quality, speed mismatch, too fast, off the path"
-    assert names(Facts(), always) == {*unknown.split(", "), "operator silent", "reversing"}
-    assert names(Facts(), driving) == {"controller silent", "across the path"}
-    unknown = "request stale, command differs, e, psi_e, speed, end of the course"
-    assert names(Facts(), engaging) == {*unknown.split(", ")}
+def test_what_never_came_is_said_so() -> None:
     assert "report stale: report never came" in [*always(LIMITS, Facts())]
     assert "report stale: report 250 ms" in [*always(LIMITS, GOOD._replace(report_age=0.25))]
+    assert "end of the course" in names(Facts(), engaging)
 
 
 def test_the_kit_has_some_time_to_say_that_it_is_enabled() -> None:
