@@ -131,11 +131,9 @@ def _combined(graph: _Graph, values: str, combine: str) -> str:
     mean = graph.op("ReduceMean", values, axes=[2], keepdims=0)
     if combine == "mean":
         return mean
-    if combine == "disagreement":
-        gap = graph.op("Sub", values, graph.op("Unsqueeze", mean, graph.whole([2])))
-        spread = graph.op("Sqrt", graph.op("ReduceMean", graph.op("Mul", gap, gap), axes=[2], keepdims=0))
-        return graph.op("Add", mean, spread)
-    raise ValueError(f"export_onnx: combine = {combine!r} cannot be exported; valid: mean, max, disagreement")
+    gap = graph.op("Sub", values, graph.op("Unsqueeze", mean, graph.whole([2])))  # disagreement
+    spread = graph.op("Sqrt", graph.op("ReduceMean", graph.op("Mul", gap, gap), axes=[2], keepdims=0))
+    return graph.op("Add", mean, spread)
 
 
 def _network(graph: _Graph, block: PolicyBlock, net: Network) -> str:
