@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from steerkit._support.errors import number, require, require_within, whole_samples
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, State, entries_of
+from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import estimate_ports
@@ -252,6 +252,7 @@ class Followed(NamedTuple):
     rate_zero: Scalar
 
 
+_FOLLOWED = len(Followed._fields)
 FOLLOWED = {
     "ratio": (0.6, 1.6, 0.1),
     "understeer": (-0.02, 0.02, 5e-4),
@@ -415,10 +416,9 @@ class VehicleState(Block):
 
     @cached_property
     def _ends(self) -> tuple[int, ...]:
-        """Where in the state the means end, the covariances, the wheel's angles, the buffer, the memory, `steering`."""
+        """Where in the state the means end, the covariances, the wheel's angles, the buffer, and the memory."""
         last = self._behind - 1
-        lengths = (_N, _ENTRIES, last, SIZE * last, len(Memory._fields))
-        return (*accumulate(lengths), sum(lengths) + (entries_of(self.steering)[1] if self.steering else 0))
+        return tuple(accumulate((_N, _ENTRIES, last, SIZE * last, len(Memory._fields))))
 
     @cached_property
     def _processes(self) -> tuple[tuple[float, Scalar], ...]:
@@ -454,7 +454,7 @@ class VehicleState(Block):
 
     def _parts(self, x: State) -> tuple[State, State, State, State, Memory]:
         """Means, covariances, the wheel's angles since the filter's time, the buffer, and the memory of a state."""
-        a, b, c, d, e, _ = self._ends
+        a, b, c, d, e = self._ends
         return x[:a], x[a:b], x[b:c], x[c:d], Memory._make(x[d:e])
 
     def settle(self, t: float, x: State, u: Any) -> State:
@@ -474,7 +474,7 @@ class VehicleState(Block):
         if self.steering is None:
             return own
         speed = m.where(m.is_finite(given.v_in), given.v_in, 0.0)
-        return (*own, *x[len(own) : self._ends[-1]], *self._followed(x)._replace(speed=speed))
+        return (*own, *x[len(own) : -_FOLLOWED], *self._followed(x)._replace(speed=speed))
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         u = self._as_modelled(x, u)
@@ -549,7 +549,7 @@ class VehicleState(Block):
     # ---- a car that is not as on its data sheet ---------------------------------------------------------------
 
     def _followed(self, x: State) -> Followed:
-        return Followed._make(x[self._ends[-1] :])
+        return Followed._make(x[-_FOLLOWED:])
 
     def _as_modelled(self, x: State, u: Any) -> Any:
         """The inputs with the wheel of the data sheet's car that turns as this one does, and the gyro without zero."""
@@ -563,7 +563,7 @@ class VehicleState(Block):
 
     def _follow(self, steering: SingleTrackFilter, t: Any, x: State, u: Any) -> State:
         """The state of `steering` and what is used of it, a sample later."""
-        state, before = x[self._ends[-2] : self._ends[-1]], self._followed(x)
+        state, before = x[self._ends[-1] : -_FOLLOWED], self._followed(x)
         found = steering.output(t, state, ())
         # the motion of a sample before, with the wheel of this one: then it is late by a sample at least
         late = before.age + self.dt

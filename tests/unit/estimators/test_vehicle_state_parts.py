@@ -243,3 +243,14 @@ def test_innovations_of_one_sign_add_up() -> None:
     assert memory.aside == pytest.approx(0.03 / math.sqrt(3e-4), rel=0.05)
     assert memory.turning < -0.1
     assert memory.turned == pytest.approx(0.0, abs=0.1)
+
+
+def test_doubt_raises_the_noise_of_wheel_sideslip_and_yaw_rate() -> None:
+    """Innovations to the side whose mean, squared, is three times that from which on the car is doubted: excess 2."""
+    aside = math.sqrt(3.0 * 7.0 * 0.1 / 1.9)  # a mean over 0.5 s of samples of 50 ms varies by 0.1/(2 - 0.1)
+    rows = [{i: 0.8} for i in range(6)]
+    calm, doubted = (FILTER._noise(5.0, rows, 0.0, 0.0, Memory(*[0.0] * 14)._replace(aside=a)) for a in (0.0, aside))
+    assert doubted[SWAY] - calm[SWAY] == pytest.approx(25.0 * 2.0 * math.radians(0.3) ** 2)
+    assert doubted[WHEEL] - calm[WHEEL] == pytest.approx(2.0 * math.radians(0.6) ** 2)
+    assert doubted[R] == pytest.approx(3.0 * calm[R])
+    assert calm[R] == pytest.approx(0.36 * (2e-4 * 5.0) ** 2)

@@ -36,7 +36,7 @@ WRONG: dict[str, Any] = {
 
 
 ADAPTIVE = replace(PLAIN, steering=STEERING)
-FIRST, END = ADAPTIVE._ends[-2:]
+FIRST, END = ADAPTIVE._ends[-1], -len(Followed._fields)
 
 
 def measured(block: Any, u: Any) -> Any:
@@ -100,24 +100,29 @@ def test_the_wheel_is_that_of_the_last_speed_that_was_measured() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "value", "valid", "after"),
+    ("name", "before", "value", "valid", "after"),
     [
-        (1.0, 1.3, 1.0, 1.005),
-        (1.598, 1.9, 1.0, 1.6),
-        (1.0, 0.999, 1.0, 0.999),
-        (1.0, 1.3, 0.0, 1.0),
-        (1.0, math.nan, 1.0, 1.0),
-        (0.602, 0.1, 1.0, 0.6),
+        ("ratio", 1.0, 1.3, 1.0, 1.005),
+        ("ratio", 1.598, 1.9, 1.0, 1.6),
+        ("ratio", 1.0, 0.999, 1.0, 0.999),
+        ("ratio", 1.0, 1.3, 0.0, 1.0),
+        ("ratio", 1.0, math.nan, 1.0, 1.0),
+        ("ratio", 0.602, 0.1, 1.0, 0.6),
+        ("offset", 0.1745, 0.3, 1.0, radians_of(10.0)),
+        ("offset", -0.1745, -0.3, 1.0, radians_of(-10.0)),
+        ("offset", 0.0, -0.3, 1.0, radians_of(-0.05)),
+        ("rate_zero", 0.01745, 0.3, 1.0, radians_of(1.0)),
+        ("rate_zero", 0.0, -0.3, 1.0, radians_of(-0.005)),
     ],
 )
 def test_what_is_used_follows_a_valid_estimate_no_faster_than_stated_and_within_bounds(
-    monkeypatch: pytest.MonkeyPatch, before: float, value: float, valid: float, after: float
+    monkeypatch: pytest.MonkeyPatch, name: str, before: float, value: float, valid: float, after: float
 ) -> None:
-    found = STEERING.output(0.0, STEERING.init(), ())._replace(ratio=value, ratio_valid=valid)
+    found = STEERING.output(0.0, STEERING.init(), ())._replace(**{name: value, f"{name}_valid": valid})
     monkeypatch.setattr(SingleTrackFilter, "output", lambda *_: found)
     u = ADAPTIVE.U(**HERE)
-    x = ADAPTIVE.update(0.0, using(ADAPTIVE.init(), ratio=before), u, None)
-    assert ADAPTIVE._followed(x).ratio == pytest.approx(after)
+    x = ADAPTIVE.update(0.0, using(ADAPTIVE.init(), **{name: before}), u, None)
+    assert getattr(ADAPTIVE._followed(x), name) == pytest.approx(after)
 
 
 @pytest.mark.parametrize("wrong", [{"v_in": 0.0}, {"v_in": math.nan}, {"r_in": math.nan}, {"delta_sw_meas": math.nan}])
