@@ -488,7 +488,7 @@ class Reading:
         name, closed = (self.entry("course", table, key, kind) for key, kind in (("file", str), ("closed", bool)))
         with self.noted(f"[course] file = {name!r}: "):
             text = self.text(name, lambda place: read_text(place, "course"))
-            return {"file": name, "path": Path.from_text(text, closed=closed, name=File(name).stem, where=name)}
+            return {"file": name, "path": Path.from_csv(name, closed=closed, text=text)}
         return {}
 
     def limits(self, car: Vehicle, writer: CommandWriter | None) -> tuple[GateLimits, StateLimits, MotionLimits]:

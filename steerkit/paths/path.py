@@ -111,35 +111,27 @@ class Path:
 
     @classmethod
     def from_csv(
-        cls, file: str | File, *, closed: bool, smoothing: float | None = None, spacing: float = 1.0, name: str = ""
-    ) -> Self:
-        """The path in a CSV file whose header names x and y [m], or lat and lon [degrees]; `#` starts a comment.
-
-        Other columns are ignored. smoothing [m]: by default 0 for x, y and 0.1 for lat, lon. name: by default the
-        file's. Raises ValueError for a missing column or a cell that is no number, and as `from_waypoints`.
-        """
-        text = read_text(file, "Path.from_csv")
-        return cls.from_text(
-            text, closed=closed, smoothing=smoothing, spacing=spacing, name=name or File(file).stem, where=f"{file}"
-        )
-
-    @classmethod
-    def from_text(
         cls,
-        text: str,
+        file: str | File,
         *,
         closed: bool,
         smoothing: float | None = None,
         spacing: float = 1.0,
         name: str = "",
-        where: str = "the course",
+        text: str | None = None,
     ) -> Self:
-        """The path in the text of a CSV file, as `from_csv`; `where` is what errors call it."""
-        xy, origin = placed(read_columns(text, where), where)
+        """The path in a CSV file whose header names x and y [m], or lat and lon [degrees]; `#` starts a comment.
+
+        Other columns are ignored. smoothing [m]: by default 0 for x, y and 0.1 for lat, lon. name: by default the
+        file's. text: of the file, where it is known. Raises ValueError for a missing column or a cell that is no
+        number, and as `from_waypoints`.
+        """
+        text = read_text(file, "Path.from_csv") if text is None else text
+        xy, origin = placed(read_columns(text, f"{file}"), f"{file}")
         if origin is None:
-            check_metres(checked(xy, where), where)
+            check_metres(checked(xy, f"{file}"), f"{file}")
         wide = smoothing if smoothing is not None else 0.0 if origin is None else 0.1
-        path = cls.from_waypoints(xy, closed=closed, smoothing=wide, spacing=spacing, name=name)
+        path = cls.from_waypoints(xy, closed=closed, smoothing=wide, spacing=spacing, name=name or File(file).stem)
         return dataclasses.replace(path, origin_deg=origin)
 
     @classmethod

@@ -82,7 +82,7 @@ def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
     said = stated(text)
     if closed is None:
         closed = said[0] if said else _meets_itself(text, name)
-    path = Path.from_text(text, closed=closed, name=name.removesuffix(".csv"), where=name)
+    path = Path.from_csv(name, closed=closed, name=name.removesuffix(".csv"), text=text)
     if said and closed == said[0]:
         check_stated(said[1], path.length, 0.05 + 1e-4 * path.length, name)
     place = re.search(r"^# origin (-?[\d.]+), (-?[\d.]+) deg$", text, re.MULTILINE)

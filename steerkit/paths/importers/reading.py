@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -40,6 +41,7 @@ CHOICES: Mapping[str, tuple[str, ...]] = {
 }
 """What can be chosen by name in it."""
 _SETTINGS = ("noise", "closed", "reverse")
+_YES = {"yes": True, "no": False}
 _READERS: Mapping[str, Callable[[str], Any]] = {
     ".csv": tracks.csv,
     ".geojson": tracks.geojson,
@@ -177,12 +179,17 @@ class Address:
         for key in values:
             known(key, (*CHOICES[KINDS[kind]], *_SETTINGS), f"'{text}': {KINDS[kind]} key")
         choice = {key: value for key, value in values.items() if key not in _SETTINGS}
+        for key in ("closed", "reverse"):
+            known(values.get(key, "no"), _YES, f"'{text}': {key}")
+        noise = values.get("noise")
+        good = noise is None or (re.fullmatch(r"\d*\.?\d+", noise) and float(noise) <= 10.0)
+        require(good, f"'{text}'", f"noise = {noise} [m], expected 0 to 10")
         return cls(
             file=file,
             choice=choice,
-            noise=_noise_of(values["noise"], text) if "noise" in values else None,
-            closed=_yes_or_no("closed", values["closed"], text) if "closed" in values else None,
-            reverse=_yes_or_no("reverse", values["reverse"], text) if "reverse" in values else False,
+            noise=None if noise is None else float(noise),
+            closed=_YES[values["closed"]] if "closed" in values else None,
+            reverse=_YES[values.get("reverse", "no")],
         )
 
     @property
@@ -199,16 +206,3 @@ def is_road(name: str) -> bool:
     file, sign, _ = name.partition("#")
     ending = FilePath(file).suffix.lower()
     return ending in KINDS and (bool(sign) or ending != ".csv")
-
-
-def _noise_of(text: str, where: str) -> float:
-    try:
-        noise = float(text)
-    except ValueError:
-        noise = -1.0
-    require(0.0 <= noise <= 10.0, f"'{where}'", f"noise = {text} [m], expected 0 to 10")
-    return noise
-
-
-def _yes_or_no(key: str, text: str, where: str) -> bool:
-    return known(text, ("yes", "no"), f"'{where}': {key}") == "yes"
