@@ -122,7 +122,7 @@ class Trace:
             what = "depends on the time t, which cars that start anew one by one do not share; valid: backend python"
             raise ValueError(f"{where}: a block of {self.loop!r} {what}")
 
-    @property
+    @functools.cached_property
     def instructions(self) -> int:
         """Operations in one period."""
         free = ("const", "in", "row", "result")
