@@ -224,33 +224,20 @@ def test_the_table_names_only_lines_that_a_page_shows() -> None:
     assert not {*steps, *reasons} - shown
 
 
-def test_a_study_is_run_in_its_quick_form() -> None:
-    """As it stands, a study measures for minutes or hours."""
-    for page in PAGES:
-        for step in steps_of(page):
-            if "benchmarks study" in step.run:
-                assert "--quick" in step.run or step.run.endswith("--list"), (
-                    f"{step.run}: tests/support/shell_lines.toml"
-                )
+SHORT = {
+    "benchmarks study": r"--quick|--list$",
+    "benchmarks run": r" run golden|--only.*--seeds 1\b|--seeds 1\b.*--only|--backend dask",
+    "steerkit learn": r"--help|--minutes \+?0\.[012]\d*\b|--minutes \+?0\.30*\b",
+}
+"""As they stand, these measure and drive for minutes or hours; what their short forms hold."""
 
 
-def test_a_suite_is_run_in_a_part() -> None:
-    """As it stands, a suite drives for minutes or hours; the golden one is made to take seconds."""
-    for page in PAGES:
-        for step in steps_of(page):
-            if "benchmarks run" in step.run and "--backend dask" not in step.run:
-                part = " run golden" in step.run or ("--only" in step.run and "--seeds 1" in step.run)
-                assert part, f"{page.name}: {step.run}: tests/support/shell_lines.toml"
-
-
-def test_a_learning_run_is_a_short_one() -> None:
-    """As it stands, `steerkit learn` drives for eleven minutes, a minute's computing."""
-    for page in PAGES:
-        for step in steps_of(page):
-            if "steerkit learn" in step.run and "--help" not in step.run:
-                minutes = re.search(r"--minutes \+?([0-9.]+)", step.run)
-                assert minutes, f"{page.name}: {step.run}: tests/support/shell_lines.toml"
-                assert float(minutes[1]) <= 0.3, step.run
+@pytest.mark.parametrize("command", SHORT)
+def test_what_takes_long_is_run_in_a_short_form(command: str) -> None:
+    steps = [step.run for page in PAGES for step in steps_of(page) if command in step.run]
+    assert steps
+    long = [line for line in steps if not re.search(SHORT[command], line)]
+    assert not long, "tests/support/shell_lines.toml"
 
 
 def test_a_line_that_fails_would_be_found(shell: Shell) -> None:

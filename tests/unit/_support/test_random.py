@@ -1,6 +1,5 @@
-"""MRG32k3a: the published numbers, the same from every backend; moments; independence of seeds and streams."""
+"""MRG32k3a: the published numbers; floats and arrays draw the same; moments; independence of seeds and streams."""
 
-import casadi
 import numpy as np
 import pytest
 from hypothesis import given
@@ -42,32 +41,19 @@ def test_arithmetic_is_exact(seed, stream):
         assert 0.0 < u < 1.0
 
 
-def test_floats_arrays_and_symbols_draw_the_same():
+def test_floats_and_arrays_draw_the_same():
     n, state = 1000, seed_state(7)
     single, after = draws(state, n)
     assert all(number.__class__ is float for number in after)
     batch, batch_after = draws(seed_state(5, (4,)), n)
     assert batch[:, 0, 2].tolist() == single[:, 0].tolist()
     assert [s[2] for s in batch_after] == list(after)
-    symbols = casadi.SX.sym("s", 6)
-    u, following = uniform(tuple(casadi.vertsplit(symbols)))
-    step = casadi.Function("uniform", [symbols], [u, casadi.vertcat(*following)])
-    s, traced = casadi.DM(state), []
-    for _ in range(n):
-        u, s = step(s)
-        traced.append(float(u))
-    assert traced == single[:, 0].tolist()
-    assert np.array(s).ravel().tolist() == list(after)
 
 
-def test_normals_agree_between_backends():
+def test_normals_of_floats_and_arrays_agree():
     single, _ = draws(seed_state(3), 200, normals)
     batch, _ = draws(seed_state(3, (2,)), 200, normals)
-    symbols = casadi.SX.sym("s", 6)
-    n1, n2, following = normals(tuple(casadi.vertsplit(symbols)))
-    step = casadi.Function("normals", [symbols], [n1, n2, casadi.vertcat(*following)])
     assert batch[:, :, 0] == pytest.approx(single, rel=1e-13, abs=1e-13)
-    assert [float(n) for n in step(casadi.DM(seed_state(3)))[:2]] == pytest.approx(single[0], rel=1e-13)
 
 
 def test_moments():

