@@ -38,8 +38,6 @@ _INPUTS = len(COLUMNS)
 
 IDOE_ACTIONS = tuple(radians_of(a) for a in (0.0, -10.0, 10.0, -60.0, 60.0))
 """Steps of the steering wheel [rad] that an integrating dynamic output element takes (the paper's I-DOE set)."""
-BANG_BANG_ACTIONS = tuple(radians_of(a) for a in (-360.0, 360.0))
-"""The paper's bang-bang angles of the steering wheel [rad]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -19,7 +19,7 @@ from steerkit.learning.exploration import Exploring
 from steerkit.learning.learner_state import Counts, LearnerState, state_signals, untrained
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
-from steerkit.learning.trainer import SimulatedTrainer, Training
+from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.assembly import with_controller
 from steerkit.scenario.catalogue import make_safety
@@ -81,11 +81,10 @@ class LearningRun:
 
     `learning.learn` drives it to its end; it can be stepped by hand too: `drive()` one control sample at a time.
     `keep`, if set, is called after every sample with a training in it, to write a checkpoint; `each` with every sample
-    that is recorded. `x` and `y`, the states and outputs of all blocks, may be changed between two samples. trainer:
-    what makes policies of transitions (default: NFQ, charged to the driving time).
+    that is recorded. `x` and `y`, the states and outputs of all blocks, may be changed between two samples.
     """
 
-    def __init__(self, experiment: Experiment, watch: Watcher | None = None, trainer: Training | None = None):
+    def __init__(self, experiment: Experiment, watch: Watcher | None = None):
         self.experiment, self.watch = experiment, watch
         self.keep: Callable[[LearningRun], None] | None = None
         self.each: Callable[[Sample], None] | None = None
@@ -96,7 +95,7 @@ class LearningRun:
             setting=setting,
             seed=experiment.seed,
             policy=untrained(setting, experiment.seed),
-            trainer=trainer or SimulatedTrainer(seconds=setting.fit_seconds),
+            trainer=SimulatedTrainer(seconds=setting.fit_seconds),
             round_length=scenario.round_length,
         )
         self.loop = assembled(

@@ -10,7 +10,7 @@ from steerkit.metrics import of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 
-SCENARIO = Scenario()
+SCENARIO = Scenario(course="random-7")  # 500 m, radii of 10 m and more
 
 
 def learned(setting: Setting) -> tuple[LearningRun, Log]:
@@ -20,7 +20,6 @@ def learned(setting: Setting) -> tuple[LearningRun, Log]:
 
 
 def test_both_learn_a_whole_round_from_nothing_and_the_integrating_element_is_smoother() -> None:
-    """In one test: half a minute of learning is done once, whoever else is to run a test of this file."""
     runs = {"i-doe": learned(DEFAULT), "bang-bang": learned(BANG_BANG)}
     for name, (run, _) in runs.items():
         first = run.counts.episodes[0]

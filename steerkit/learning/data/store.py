@@ -178,10 +178,6 @@ class TransitionStore:
             self._writer = _Writer(self.path, number)
             self._end = weakref.finalize(self, _Writer.end, self._writer)  # also when the program ends unclosed
 
-    def __repr__(self) -> str:
-        runs = ", ".join(f"{label}: {rows}" for label, rows in self.runs().items())
-        return f"TransitionStore({self.path}; {runs or 'empty'})"
-
     # ---- writing --------------------------------------------------------------------------------------------
 
     def append(self, s: Sequence[float], a: float, s_next: Sequence[float], episode: int) -> None:

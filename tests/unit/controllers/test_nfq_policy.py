@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, IDOE_ACTIONS, NfqPolicy, combined
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS, NfqPolicy, combined
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning.nfq.iterate import STANDARD, patterns
@@ -25,7 +25,7 @@ NETS = tuple(tuple(3.0 * p for p in new_net(seed=k)) for k in range(3))
 POLICIES = [
     NfqPolicy(nets=NETS),
     NfqPolicy(nets=NETS, combine="max"),
-    NfqPolicy(nets=NETS[:1], actions=BANG_BANG_ACTIONS, description=StateDescription(action_scale=2.0)),
+    NfqPolicy(nets=NETS[:1], actions=(-6.28, 6.28), description=StateDescription(action_scale=2.0)),
     NfqPolicy(nets=(new_net((7, 1), seed=1),)),
     NfqPolicy(nets=(new_net((7, 4, 3, 5, 1), seed=1), new_net((7, 4, 3, 5, 1), seed=2))),
 ]
@@ -49,7 +49,6 @@ def traced(policy: NfqPolicy) -> casadi.Function:
 
 def test_action_sets_in_degrees() -> None:
     assert sorted(degrees_of(a) for a in IDOE_ACTIONS) == pytest.approx([-60.0, -10.0, 0.0, 10.0, 60.0])
-    assert [degrees_of(a) for a in BANG_BANG_ACTIONS] == pytest.approx([-360.0, 360.0])
 
 
 @policies

@@ -13,7 +13,7 @@ import onnxruntime
 import pytest
 
 from steerkit.controllers.network_policy import Network, PolicyBlock
-from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, COMBINATIONS, NfqPolicy
+from steerkit.controllers.nfq_policy import COMBINATIONS, NfqPolicy
 from steerkit.controllers.state_description import StateDescription
 from steerkit.export.onnx import check_onnx, export_onnx
 
@@ -31,7 +31,7 @@ def layers(*sizes: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 POLICIES: list[Any] = [
     NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10))),
-    NfqPolicy(nets=(net(5), net(5)), actions=BANG_BANG_ACTIONS, combine="max"),
+    NfqPolicy(nets=(net(5), net(5)), actions=(-6.28, 6.28), combine="max"),
     NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10)), combine="max"),
     NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10)), combine="disagreement"),
     NfqPolicy(nets=(net(20, 20, 3),), description=StateDescription(action_scale=0.3)),

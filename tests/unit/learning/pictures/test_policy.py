@@ -68,14 +68,8 @@ def test_recorded_states_keep_to_the_rule_that_the_pictures_use(record: Record) 
 def test_slices_hold_the_policys_values(record: Record) -> None:
     policy, scenario = record.policy, record.experiment.scenario
     figure = q_slices(policy, scenario, v=5.0)
-    assert [axis.get_xlabel().split(" [")[0] for axis in figure.axes] == [
-        "e",
-        "e_dot",
-        "v",
-        "psi_e",
-        "r_e",
-        "steering wheel",
-    ]
+    labels = [axis.get_xlabel().split(" [")[0] for axis in figure.axes]
+    assert labels == ["e", "e_dot", "v", "psi_e", "r_e", "steering wheel"]
     line = next(line for line in figure.axes[0].get_lines() if line.get_label() == "greedy")
     for e, q in zip(line.get_xdata()[::40], line.get_ydata()[::40]):
         u = policy.D(e=float(e), e_dot=0.0, v=5.0, psi_e=0.0, r_e=0.0, doe=0.0)

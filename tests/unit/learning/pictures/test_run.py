@@ -95,22 +95,15 @@ def test_runs_are_compared_to_the_longest(record: Record) -> None:
 
 
 def test_all_pictures_of_a_run_are_drawn(kept: Path, tmp_path: Path) -> None:
+    always = ["q-slices", "policy-map", "learning-curve", "failures"]
+    learn(Experiment(setting=FAST, minutes=0.005), tmp_path / "new")
+    assert [file.stem for file in draw_all(tmp_path / "new")][:4] == always  # it has just begun
     files = draw_all(kept, tmp_path / "out", against=[kept])
     names = [file.stem for file in files]
-    assert names[:4] == ["q-slices", "policy-map", "learning-curve", "failures"]
+    assert names[:4] == always
     assert names[-1] == "comparison"
     assert any(name.startswith("episode-") for name in names)
     assert all(file.read_bytes()[:4] == b"\x89PNG" for file in files)
-
-
-def test_a_run_that_has_just_begun_can_be_drawn_too(tmp_path: Path) -> None:
-    learn(Experiment(setting=FAST, minutes=0.005), tmp_path / "new")
-    assert [file.stem for file in draw_all(tmp_path / "new")][:4] == [
-        "q-slices",
-        "policy-map",
-        "learning-curve",
-        "failures",
-    ]
 
 
 def test_an_episode_that_ended_otherwise_is_no_failure(record: Record) -> None:
@@ -120,11 +113,3 @@ def test_an_episode_that_ended_otherwise_is_no_failure(record: Record) -> None:
     assert len(carried.failed_at) == len(record.failed_at) - 1
     np.testing.assert_array_equal(carried.failed_at, record.failed_at[1:])
     assert f"{len(record.failed_at) - 1} failures" in failure_map(carried).get_suptitle()
-
-
-def test_each_episode_is_a_curve_from_its_take_over_to_its_end(record: Record) -> None:
-    held = learning_curve(record).axes[0]
-    curves = [line.get_data() for line in held.lines if len(line.get_xdata()) == 60]
-    for episode, (x, y) in zip(record.episodes, curves, strict=True):
-        np.testing.assert_allclose(np.asarray(x) - np.asarray(y), episode.began, atol=1e-9)
-        assert max(y) == pytest.approx(max(0.1, record.ended(episode) - episode.began))
