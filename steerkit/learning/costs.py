@@ -7,8 +7,8 @@ terminal: (n,) bool. Costs look at where the car came to (s_next) and what it di
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +22,8 @@ Costs = tuple[NDArray[np.float64], NDArray[np.bool_]]
 Array = NDArray[np.float64]
 
 
-class Cost(Protocol):
-    """What `steerkit.learning.nfq.iterate` asks of a cost."""
-
-    def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
-        """Cost (n,) in [0, 1] and terminal (n,) of n transitions."""
-        ...
+Cost = Callable[[Array, Array, Array], Costs]
+"""Of s, a, s_next: the cost (n,) in [0, 1] and terminal (n,) of n transitions."""
 
 
 @dataclass(frozen=True, kw_only=True)

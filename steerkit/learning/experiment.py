@@ -91,11 +91,12 @@ class LearningRun:
         scenario = experiment.scenario
         setting = experiment.setting.suited(scenario.design_model())
         self.path = scenario.path()
+        self.trainer = SimulatedTrainer(seconds=setting.fit_seconds)
         self.learner_state = LearnerState(
             setting=setting,
             seed=experiment.seed,
             policy=untrained(setting, experiment.seed),
-            trainer=SimulatedTrainer(seconds=setting.fit_seconds),
+            trainer=self.trainer,
             round_length=scenario.round_length,
         )
         self.loop = assembled(

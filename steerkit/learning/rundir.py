@@ -157,7 +157,7 @@ def keep_in(run: LearningRun, place: FilePath) -> None:
 def save(run: LearningRun, place: FilePath) -> None:
     """Write a checkpoint; a kill at any moment leaves this one or the one before, whole."""
     number = len(list(place.glob("drive/*.npz")))
-    pending, before = run.learner_state.trainer.pending, run.learner_state.before
+    pending, before = run.trainer.pending, run.learner_state.before
     (place / "nets").mkdir(exist_ok=True)
     (place / "drive").mkdir(exist_ok=True)
     run.loop.save_state(run.state, place / f"state-{number}.npz")
@@ -240,7 +240,7 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     if data["pending"] is not None:
         newest = NfqPolicy.load(_existing(net_file(place, updates)))
         pending = (data["pending"], updates, Learned(newest.nets or (), newest.forecast))
-    learner_state.trainer = SimulatedTrainer(
+    run.trainer = learner_state.trainer = SimulatedTrainer(
         seconds=run.experiment.setting.fit_seconds, nets=run.nets if updates else (), pending=pending
     )
     if data["before"] is not None:  # of the last sample that was driven

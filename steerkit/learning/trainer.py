@@ -79,7 +79,8 @@ class SimulatedTrainer:
     def __init__(self, *, seconds: float = 1.0, nets: Nets = (), pending: Pending | None = None):
         require_within("SimulatedTrainer", "seconds", seconds, "s", 0.0, math.inf)
         self.seconds, self.learned = seconds, pending[2] if pending else Learned(nets)
-        self._pending = pending
+        self.pending = pending
+        """The unfinished job, for a checkpoint to keep and another trainer to go on with."""
         self._newest, self._spent = pending[1] if pending else 0, 0.0
 
     def submit(self, job: Job, t: float) -> None:
@@ -88,29 +89,21 @@ class SimulatedTrainer:
         began = time.perf_counter()
         self.learned = job.train(self.learned)
         self._newest, self._spent = job.number, self._spent + time.perf_counter() - began
-        start = max(t, self._pending[0]) if self._pending else t
-        self._pending = (start + self.seconds, job.number, self.learned)
+        start = max(t, self.pending[0]) if self.pending else t
+        self.pending = (start + self.seconds, job.number, self.learned)
 
     def poll(self, t: float) -> Result | None:
         """The newest nets, once, if they would be ready at driving time t [s]."""
-        if self._pending is None or t < self._pending[0] - 1e-9:
+        if self.pending is None or t < self.pending[0] - 1e-9:
             return None
-        (_, number, learned), self._pending = self._pending, None
+        (_, number, learned), self.pending = self.pending, None
         seconds, self._spent = self._spent, 0.0
         return Result(number, learned.nets, seconds, forecast=learned.forecast)
 
     @property
     def busy(self) -> bool:
         """Is there a job whose result is still to come?"""
-        return self._pending is not None
-
-    @property
-    def pending(self) -> Pending | None:
-        """The unfinished job, for a checkpoint to keep and another trainer to go on with."""
-        return self._pending
-
-    def close(self) -> None:
-        """Nothing to end."""
+        return self.pending is not None
 
 
 class Trainer:
@@ -206,11 +199,6 @@ class Trainer:
         return bool(self._jobs)
 
     @property
-    def pending(self) -> Pending | None:
-        """None: an unfinished job cannot be kept; after a restart, submit it again."""
-        return None
-
-    @property
     def pid(self) -> int | None:
         """The training process's id."""
         return self._process.pid
@@ -258,7 +246,7 @@ def _train(job: Job) -> tuple[Learned, float]:
 
 
 Training = SimulatedTrainer | Trainer
-"""What trains: `submit` a job, `poll` for its result, ask whether it is `busy` or has something `pending`."""
+"""What trains: `submit` a job, `poll` for its result, and ask whether it is `busy`."""
 
 
 def _require_newer(job: Job, newest: int) -> None:

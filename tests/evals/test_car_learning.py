@@ -101,6 +101,8 @@ class Beside(SimulatedTrainer):
     def poll(self, t: float) -> Result | None:
         return super().poll(self.world.t)
 
+    def close(self) -> None: ...
+
 
 def learner_of(world: World, place: Path, how: Setting = TINY, **options: Any) -> on_car.CarLearner:
     link: Any = world

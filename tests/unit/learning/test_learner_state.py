@@ -15,7 +15,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.learner_state import LearnerState, untrained
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import DEFAULT
-from steerkit.learning.trainer import Job, Pending, Result
+from steerkit.learning.trainer import Job, Result
 
 HOW = replace(DEFAULT, fit=FitSetting(nets=1), retrain_every_m=5.0, calm=0.3)
 BETTER = untrained(HOW, seed=9).nets
@@ -41,12 +41,6 @@ class InHand:
     def done(self, **result: Any) -> None:
         """The newest job is done."""
         self.result = Result(self.jobs[-1].number, result.pop("nets", BETTER), 1.5, **result)
-
-    @property
-    def pending(self) -> Pending | None:
-        return None
-
-    def close(self) -> None: ...
 
 
 class Fed:

@@ -122,11 +122,7 @@ def test_a_run_resumed_at_any_checkpoint_is_the_run_that_went_on(tmp_path: Path)
 
     def keep(run: LearningRun) -> None:
         write(run)
-        what = (
-            run.learner_state.before is not None,
-            run.learner_state.trusted,
-            run.learner_state.trainer.pending is not None,
-        )
+        what = (run.learner_state.before is not None, run.learner_state.trusted, run.trainer.pending is not None)
         if what not in seen:
             seen.add(what)
             copies.append(Path(shutil.copytree(place, tmp_path / f"copy{len(copies)}")))

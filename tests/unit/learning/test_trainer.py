@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -100,7 +100,7 @@ def own() -> Iterator[Trainer]:
 # ---- the same interface -----------------------------------------------------------------------------------------
 
 MAKERS: dict[str, Callable[[], AbstractContextManager[Any]]] = {
-    "simulated": lambda: closing(SimulatedTrainer(seconds=3.0)),
+    "simulated": lambda: nullcontext(SimulatedTrainer(seconds=3.0)),
     "process": Trainer,
 }
 
