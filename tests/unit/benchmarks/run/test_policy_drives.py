@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.run.policy_drives import PolicyDrives, policy_drives
 from steerkit.controllers.delay_compensator import LONGEST, DelayCompensator
-from steerkit.controllers.nfq_policy import BANG_BANG_ACTIONS, Kind, NfqPolicy
+from steerkit.controllers.nfq_policy import Kind, NfqPolicy
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import Integrator
 from steerkit.learning.learner_state import untrained
@@ -52,7 +52,7 @@ def test_compiled_drives_serve_every_policy_of_a_kind_to_the_last_bit(policy: Nf
 @pytest.mark.parametrize(
     "changes",
     [
-        {"actions": BANG_BANG_ACTIONS},
+        {"actions": (-6.28, 6.28)},
         {"continuous": False},
         {"preview_points": 0},
         {"dt": 0.1},
