@@ -99,9 +99,8 @@ class HysteresisBank(Bank):
     active = In("1", direct=False)
 
     prior: float = number(radians_of(0.5), "rad", low=0.0, high=WIDEST)
-    """Half width to begin with [rad]."""
+    """Half width to begin with, and its standard deviation [rad]."""
     prior_deviation: float = number(radians_of(0.5), "rad", low=1e-6, high=1.0)
-    """Its standard deviation [rad]."""
     memory: float = number(600.0, "s", low=1.0, high=1e6)
     longest: float = 1.0
     held: bool = True
@@ -129,8 +128,6 @@ class HysteresisBank(Bank):
         start[_SUMS + Known._fields.index("speed")] = m.filled(SLOWEST, batch)
         return tuple(start)
 
-    # ---- what the blocks have of their own ---------------------------------------------------------------------
-
     def _answer(self, operator: Scalar, car: State, v: Scalar) -> Scalar:
         """p_g [rad] of one candidate: its operator's angle and the state of its car."""
         return operator
@@ -146,8 +143,6 @@ class HysteresisBank(Bank):
     def _lag_judged(self, sums: Sums, known: Known, lag: Scalar, moments: State) -> tuple[Known, Scalar]:
         """What is known of the lag after this sample, and does another one have to be tried?"""
         return known, known.clock < 0.0
-
-    # ---- what they share ---------------------------------------------------------------------------------------
 
     def _fitted(self, sums: Sums, moments: State) -> tuple[Valley, list[Fit]]:
         precision, places = (_GAIN, _LATE, 1.0 / self.beyond**2), (_STEP, self.prior, self.prior_deviation)

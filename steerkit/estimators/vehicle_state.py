@@ -407,8 +407,6 @@ class VehicleState(Block):
             require(self.dt == self.steering.dt, where, same)
             require(not self.steering.held, where, "steering.held = True, expected False: the wheel is measured")
 
-    # ---- what follows from the parameters ---------------------------------------------------------------------
-
     @cached_property
     def _behind(self) -> int:
         """Samples from the filter's time to now."""
@@ -437,8 +435,6 @@ class VehicleState(Block):
     def _sideways(self) -> bool:
         """Is sway v_y [m/s]? Else it is beta [rad]; asked of rhs."""
         return bool(self.rhs((0.0, 0.0, 0.0, 0.01, 0.0), 0.0, 5.0)[1] < 0.03)
-
-    # ---- the block --------------------------------------------------------------------------------------------
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero, nan = m.filled(0.0, batch), m.filled(math.nan, batch)
@@ -546,8 +542,6 @@ class VehicleState(Block):
         own = (*corrected_mean, *packed(p), *wheels[1:], *slots, *memory)
         return own if self.steering is None else (*own, *self._follow(self.steering, t, x, given))
 
-    # ---- a car that is not as on its data sheet ---------------------------------------------------------------
-
     def _followed(self, x: State) -> Followed:
         return Followed._make(x[-_FOLLOWED:])
 
@@ -579,8 +573,6 @@ class VehicleState(Block):
         followed = Followed(u.v_in, u.r_in, u.psi_in, u.motion_age_in, speed, **used)
         return (*steering.update(t, state, watched, found), *followed)
 
-    # ---- prediction -------------------------------------------------------------------------------------------
-
     def _noise(
         self, v: Scalar, rows: Sequence[Row], turned: Scalar, unsure: Scalar, memory: Memory
     ) -> dict[int, Scalar]:
@@ -609,8 +601,6 @@ class VehicleState(Block):
         squares = [mean * mean for mean in (memory.aside, memory.turned, memory.turning)]
         largest = m.maximum(squares[0], m.maximum(squares[1], squares[2]))
         return m.clip(largest / (DOUBT_FROM * usual) - 1.0, 0.0, 100.0)
-
-    # ---- correction -------------------------------------------------------------------------------------------
 
     def _corrected(
         self, mean: Sequence[Scalar], p: Covariance, due: Measured, memory: Memory, delta: Scalar

@@ -28,7 +28,9 @@ class Sensors(Block):
     measured(t) = truth(t) + bias + noise n(t) + drift d(t),  seen(t) = measured(t - latency),
     d(t + dt) = f d(t) + sqrt(1 - f^2) n'(t),  f = exp(-dt/drift_time)   (Gauss-Markov, of the given deviation),
 
-    n and n' standard normal, new for every sample and channel. By default all is zero: seen = truth.
+    n and n' standard normal, new for every sample and channel. By default all is zero: seen = truth. Each channel has a
+    bias, x_bias, y_bias, psi_bias, v_bias, beta_bias, r_bias, and the standard deviations of noise and drift are
+    position_noise and position_drift, of x and of y, psi_noise and psi_drift, v_noise, beta_noise, r_noise.
 
     inputs: x_in, y_in [m], psi_in [rad], v_in [m/s], beta_in [rad], r_in [rad/s], the truth. outputs: x, y, psi, v,
     beta, r, seen; age [s] of these, the latency. state: six errors of the present sample, three drifts, the generator's
@@ -53,33 +55,20 @@ class Sensors(Block):
     age = Out("s", direct=())
 
     position_noise: Scalar = number(0.0, "m", low=0.0, high=10.0)
-    """Standard deviation of the white noise on x and on y [m]."""
     psi_noise: Scalar = number(0.0, "rad", low=0.0, high=1.0)
-    """That on psi [rad]."""
     v_noise: Scalar = number(0.0, "m/s", low=0.0, high=1.0)
-    """That on v [m/s]."""
     beta_noise: Scalar = number(0.0, "rad", low=0.0, high=1.0)
-    """That on beta [rad]."""
     r_noise: Scalar = number(0.0, "rad/s", low=0.0, high=1.0)
-    """That on r [rad/s]."""
     position_drift: Scalar = number(0.0, "m", low=0.0, high=10.0)
-    """Standard deviation of the drift of x and of y [m]."""
     psi_drift: Scalar = number(0.0, "rad", low=0.0, high=1.0)
-    """Standard deviation of the drift of psi [rad]."""
     drift_time: float = number(10.0, "s", above=0.0, high=1e5)
     """Correlation time of the drift [s]."""
     x_bias: Scalar = number(0.0, "m", low=-10.0, high=10.0)
-    """Constant error of x [m]."""
     y_bias: Scalar = number(0.0, "m", low=-10.0, high=10.0)
-    """Constant error of y [m]."""
     psi_bias: Scalar = number(0.0, "rad", low=-10.0, high=10.0)
-    """Constant error of psi [rad]."""
     v_bias: Scalar = number(0.0, "m/s", low=-10.0, high=10.0)
-    """Constant error of v [m/s]."""
     beta_bias: Scalar = number(0.0, "rad", low=-10.0, high=10.0)
-    """Constant error of beta [rad]."""
     r_bias: Scalar = number(0.0, "rad/s", low=-10.0, high=10.0)
-    """Constant error of r [rad/s]."""
     latency: float = 0.0
     """Age of what is seen [s], a multiple of dt."""
     seed: int = 0
