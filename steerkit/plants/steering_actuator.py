@@ -166,7 +166,8 @@ class TorqueSteering(DelayedSteering):
 
     def _per_a(self, v: Scalar) -> Scalar:
         """C(v): tan of the road-wheel angle over the lateral acceleration [s^2/m]."""
-        return self.wheelbase / m.maximum(v * m.absolute(v), _SLOWEST**2) + self.understeer
+        fast = m.maximum(v, _SLOWEST)
+        return self.wheelbase / (fast * fast) + self.understeer
 
 
 def steering_of(file: str | FilePath, *, dt: float = 0.01, **others: Any) -> SteeringActuator:
