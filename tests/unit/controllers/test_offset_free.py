@@ -145,7 +145,7 @@ def test_a_constant_that_turns_out_to_be_another_one_is_found_as_fast_as_the_fir
     assert after(block, (60.0, 0.0))[-4] == pytest.approx(60.0)
     for e in (0.03, -0.03):
         assert after(block, (60.0, 0.0), (4.0, e))[-4] == 0.0
-    assert after(block, (60.0, 0.0), (2.0, 0.1), (4.0, 0.0))[-4] > 60.0
+        assert after(block, (60.0, 0.0), (3.0, 3.0 * e), (4.0, 0.0))[-4] > 60.0
     assert after(block, (60.0, 0.01))[-4] == pytest.approx(60.0)
 
 
