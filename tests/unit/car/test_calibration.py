@@ -115,3 +115,5 @@ def test_the_operator_is_warned_before_the_end(calibration: Made) -> None:
 def test_what_cannot_be_driven_is_refused(more: dict[str, Any], says: str) -> None:
     with pytest.raises(ValueError, match=says):
         check(**({"base": "stanley", "minutes": 4.0} | more))
+    for minutes in (0.1, 60.0):
+        check("stanley", minutes)

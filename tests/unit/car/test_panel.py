@@ -85,6 +85,10 @@ def test_the_line_of_what_a_controller_that_adapts_is_told() -> None:
     assert adapted_line(Adapted(0.2144, 1.0831)) == "dead time 0.214 s, steering ratio 1.083 times the data sheet's"
 
 
+def test_an_age_is_told_in_milliseconds_until_there_is_none() -> None:
+    assert [panel._ms(age) for age in (0.0504, 99.9, 100.0, float("inf"))] == ["50 ms", "99900 ms", "never", "never"]
+
+
 def test_the_filters_line_says_what_it_did_and_how_often() -> None:
     corrected = Filtered(0.3, 0.2, 0.25, 0.61, 2.0)
     assert filter_line(corrected, [True, False, False, False]) == (
