@@ -99,7 +99,7 @@ class Topics:
     def __init__(self, *, start: int | None = None, every: float = EVERY):
         try:
             import foxglove
-            import foxglove.channels
+            import foxglove.channels  # noqa: F401
         except ImportError:
             raise ValueError("Foxglove: needs the package foxglove-sdk: pip install 'steerkit-control[logs]'") from None
         foxglove.set_log_level(logging.CRITICAL)  # who dials a wrong number is no news on a terminal
