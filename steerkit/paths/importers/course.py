@@ -245,7 +245,6 @@ def smoothed(points: Array, noise: float, *, closed: bool) -> tuple[Any, float, 
     from scipy.interpolate import BSpline
     from scipy.sparse import csr_matrix, diags_array
 
-    require(noise > 0.0, "smoothed", f"noise = {noise} [m], expected > 0")
     n = len(points)
     ring = np.vstack((points, points[:1])) if closed else points
     u = travelled(ring)

@@ -131,8 +131,3 @@ def test_a_closed_curve_closes_with_its_derivatives() -> None:
     curve, end, _, _ = smoothed(ring(30.0, 3.0, 0.2, 1), 0.2, closed=True)
     for order in range(4):
         assert curve(0.0, order) == pytest.approx(curve(end * (1.0 - 1e-13), order), abs=1e-6)
-
-
-def test_noise_has_to_be_stated() -> None:
-    with pytest.raises(ValueError, match=r"noise = 0.0 \[m\], expected > 0"):
-        smoothed(ring(30.0, 3.0, 0.0, 1), 0.0, closed=True)
