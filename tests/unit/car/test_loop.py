@@ -79,6 +79,8 @@ def test_the_newest_net_of_a_run_drives_but_not_the_one_before_any_learning(
                 loops.controller_named(str(tmp_path), CONFIG)
     steers = loops.controller_named(str(tmp_path), CONFIG).steers
     assert Path(steers.name).name == "net-0003.npz"
+    older = tmp_path / "nets" / "net-0002.npz"
+    assert loops.controller_named(str(older), CONFIG).steers.name == str(older.resolve())
 
 
 def world_of(controller: Block | None = None) -> World:

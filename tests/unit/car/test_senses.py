@@ -108,6 +108,14 @@ def test_a_position_moves_with_the_speed(share: float, well: bool) -> None:
         assert bench.senses.errors[1][0] == bench.senses.errors[0][0], "one is enough to end driving"
 
 
+def test_the_way_is_that_of_the_motion_frames() -> None:
+    bench = Bench()
+    bench.pose(1.0, v=10.0, v_kit=10.0)
+    for k in range(1, 25):  # a position may come a tenth of a second before its speed, but no more
+        bench.send("POSE_POSITION", 1.0 + 0.01 * k, x=10.0 + 0.1 * k)
+    assert "m along from where" in bench.senses.errors[-1][1]
+
+
 def test_the_delay_of_the_pose_is_told_from_the_quickest_so_far() -> None:
     """Its clock differs from ours by a constant that nobody knows; the first pose is 30 ms late, then one is not."""
     for offset in (0.0, 12.345, 64.1):  # the last wraps on the way: 16 bits of milliseconds
