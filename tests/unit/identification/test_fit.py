@@ -43,6 +43,7 @@ def test_intervals_cover_the_truth(clean: dict[str, Any]) -> None:
     assert sum(inside.values()) >= 0.9 * 12 * len(names), inside
     assert np.median(widths["steer_ratio"]) < 0.1  # an interval that covers everything proves nothing
     assert np.median(widths["understeer_gradient"]) < 0.6
+    assert max(np.median(widths["c_f"]), np.median(widths["c_r"])) < 1.3
 
 
 def test_white_intervals_are_those_of_the_textbook(clean: dict[str, Any]) -> None:
