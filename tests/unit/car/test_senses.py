@@ -110,8 +110,9 @@ def test_a_position_moves_with_the_speed(share: float, well: bool) -> None:
 
 def test_the_way_is_that_of_the_motion_frames() -> None:
     bench = Bench()
-    bench.pose(1.0, v=10.0, v_kit=10.0)
-    for k in range(1, 25):  # a position may come a tenth of a second before its speed, but no more
+    for k in range(2):
+        bench.pose(1.0 + 0.01 * k, x=10.0 + 0.1 * k, v=10.0, v_kit=10.0)
+    for k in range(2, 25):  # a position may come a tenth of a second before its speed, but no more
         bench.send("POSE_POSITION", 1.0 + 0.01 * k, x=10.0 + 0.1 * k)
     assert "m along from where" in bench.senses.errors[-1][1]
 
