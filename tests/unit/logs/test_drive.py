@@ -168,7 +168,7 @@ def test_clocks_that_do_not_overlap_teach() -> None:
 
 def test_positions_become_metres_and_a_receiver_without_a_fix_is_nowhere() -> None:
     t = np.arange(4.0)
-    lat, lon = np.array([0.0, 48.0, 48.0, 48.001]), np.array([0.0, 9.0, 9.001, 9.0])
+    lat, lon = np.array([0.0, 48.0, 48.0, 48.001]), np.array([0.0, 0.0, 0.001, 0.0])
     notes: list[str] = []
     values, times = {"lat_deg": lat, "lon_deg": lon}, {"lat_deg": t, "lon_deg": t}
     in_metres(values, times, notes)
@@ -179,7 +179,7 @@ def test_positions_become_metres_and_a_receiver_without_a_fix_is_nowhere() -> No
     )
     np.testing.assert_allclose(values["y"][3], 6374e3 * np.radians(0.001), rtol=1e-3)
     assert times["x"] is t
-    assert "x, y: east and north of 48.000000, 9.000000" in notes[0]
+    assert "x, y: east and north of 48.000000, 0.000000" in notes[0]
 
 
 def test_samples_that_came_out_of_order_are_put_in_order() -> None:

@@ -148,6 +148,8 @@ def test_the_road_wheels_angle_is_said_to_be_one(clean: dict[str, Any], tmp_path
     np.testing.assert_allclose(drive.delta_sw, Drive.of(by_rate(clean)).delta_sw, atol=1e-12)
     assert any("delta_sw = 14.2 * the road wheels' angle" in note for note in drive.notes)
     assert any("15 * the road wheels' angle" in note for note in read_drive(tmp_path / "a.mat").notes)
+    with pytest.raises(ValueError, match="steer_ratio = 0, expected more than 0"):
+        read_drive(tmp_path / "a.mat", steer_ratio=0.0)
 
 
 def test_a_unit_that_is_none_of_the_quantity_teaches(clean: dict[str, Any], tmp_path: Path) -> None:
