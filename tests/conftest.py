@@ -3,8 +3,6 @@
 An interrupt ends the programs that tests start, though a shell has what runs in the background ignore it.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

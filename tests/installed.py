@@ -5,8 +5,6 @@ environment, and a suite, a newcomer's day and the sdist's tests run there. The 
 environment that this runs in: nothing is downloaded.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The attacks: what sensors, kit, bus, clock, client, operator and car may do wrong, one at a time."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Iterator

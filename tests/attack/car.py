@@ -1,7 +1,5 @@
 """The true car, its motor and its course: a single track with saturating tyres, written without the product's."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

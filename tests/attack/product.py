@@ -1,7 +1,5 @@
 """The product's own controllers as clients of an attacked drive: the loop of `drive --car`, sample by sample."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -3,8 +3,6 @@
 With `--controllers mpc lqr ...` those of the product steer, and each has a column instead of each speed.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from concurrent.futures import ProcessPoolExecutor

@@ -3,8 +3,6 @@
 All attacks at all speeds, as a table: `python -m tests.attack.table`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

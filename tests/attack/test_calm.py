@@ -1,7 +1,5 @@
 """No false alarm; 60 minutes of it, and both laps five times: `python -m tests.attack.calm`."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

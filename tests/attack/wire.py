@@ -1,7 +1,5 @@
 """The wire formats, written down a second time from the DBC files and docs/real-car.md: bits, bytes, check sums."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

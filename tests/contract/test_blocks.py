@@ -1,7 +1,5 @@
 """What every shipped block must keep: one table of examples, one set of rules; a new block has to join the table."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import importlib

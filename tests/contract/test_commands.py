@@ -1,8 +1,6 @@
 """Every command that the project shows is run, as a process: the shell lines of README, CONTRIBUTING and docs (in the
 short forms of tests/support/shell_lines.toml) and the scripts under examples/; the studies in test_studies.py."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,8 +1,6 @@
 """Every Python block in README and docs runs, what is shown as output is what comes out, and every picture and file
 that they name is there. Their shell lines: test_commands.py."""
 
-from __future__ import annotations
-
 import ast
 import codeop
 import functools

@@ -1,7 +1,5 @@
 """What may import what, and that nothing heavy is loaded before it is used."""
 
-from __future__ import annotations
-
 import ast
 import pkgutil
 import subprocess

@@ -1,7 +1,5 @@
 """Every equation of the site is typeset: those of docstrings by docs/tools/formulas.py, those of pages by hand."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

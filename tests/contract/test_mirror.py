@@ -5,8 +5,6 @@
 is split by what it is about, `test_app_habits.py` beside `test_app.py`. What is tested elsewhere is imported there.
 """
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

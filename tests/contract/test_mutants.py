@@ -1,7 +1,5 @@
 """The mutants that tests.support.mutants draws, and whether a test that notices one is found."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What stands once: a search through the source finds one place for it."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

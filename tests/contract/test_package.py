@@ -1,7 +1,5 @@
 """What is shipped: the wheel holds every file of the package, and what says what it is agrees."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

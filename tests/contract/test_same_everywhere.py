@@ -4,8 +4,6 @@ Bound: |a - b| <= 1e-12*(1 + largest |a|) of each signal. Rounding differs: NumP
 last digits, and a batch is summed in another order.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Callable

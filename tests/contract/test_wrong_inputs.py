@@ -3,8 +3,6 @@
 They stand in tests/support/wrong_inputs.toml.
 """
 
-from __future__ import annotations
-
 import math
 import shlex
 import textwrap

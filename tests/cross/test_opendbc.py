@@ -5,8 +5,6 @@ The judges are opendbc's own: `opendbc.car.lateral` (ISO 11270: 3 m/s^2, 5 m/s^3
 are the same. Where ours differ on purpose, that is measured too.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Margins of a double integrator behind a delay, where they are known in closed form."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Controllers that adapt, on the car: what they are told outlasts whoever takes the wheel, is recorded, and replays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 `python tests/evals/test_car_fault_matrix.py` prints the table of docs/real-car.md.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Learning on the in-process car: caught in time behind the gate, and replayed bit for bit, nets and all."""
 
-from __future__ import annotations
-
 import os
 import threading
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Model predictive steering on the in-process car: it drives, it replays, and a late solution is not waited for."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The live panel on a real terminal (a pseudo-terminal): what it shows, and the space bar."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Brake and accelerator of a kit that tells of them: from the frame on the bus to the kit that lets go."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Real processes on a real (pseudo-terminal or TCP) slcan line; generous limits, as the machine may be busy."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

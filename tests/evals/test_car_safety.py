@@ -1,7 +1,5 @@
 """The safety filter before the gate: nobody leaves the path of the in-process car, and what it did replays."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path

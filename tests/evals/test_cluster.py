@@ -1,7 +1,5 @@
 """The cluster lines of docs/benchmarks.md as written: processes of their own, in a directory that is no checkout."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Learning, end to end: both action sets learn on the same code, and the integrating element is smoother."""
 
-from __future__ import annotations
-
 from steerkit.diagram.simulation import Log
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn

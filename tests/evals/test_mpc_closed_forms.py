@@ -1,7 +1,5 @@
 """Predictive steering against what is known in closed form: LQR, delay by augmentation, steady bends, bang-bang."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

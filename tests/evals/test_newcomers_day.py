@@ -1,7 +1,5 @@
 """The whole day of a newcomer, as processes in a directory that is no checkout, with parts of their own."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The two Rprop engines against closed forms, against autograd, and against each other."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stanley on cars and paths where the answer is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Cars steered by torque are brought back and held by every controller that knows dead time and slew."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

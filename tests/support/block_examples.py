@@ -1,7 +1,5 @@
 """The table of examples that every shipped block is in; the rules: tests/contract/test_blocks.py."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A calibration in one process: a car whose true numbers are unknown to it, its server's core, its guided drive."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

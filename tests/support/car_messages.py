@@ -1,7 +1,5 @@
 """The shipped car's configuration, and any message to its core."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from hypothesis import strategies as st

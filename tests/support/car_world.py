@@ -1,7 +1,5 @@
 """A simulated car, the car server's core and a controller in one process, on a clock that the test moves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,5 @@
 """Command lines: run in this process, or checked without being run."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Sequence
 

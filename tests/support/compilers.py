@@ -1,7 +1,5 @@
 """How C code is compiled: `make test` has it compiled quickly, as most of it is run for less time than that takes."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Loops to be drawn."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

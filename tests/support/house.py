@@ -3,8 +3,6 @@
 Modules side by side in each folder, imports between packages, and cycles of imports, those inside functions included.
 """
 
-from __future__ import annotations
-
 import ast
 import sys
 from collections import Counter, defaultdict

@@ -1,7 +1,5 @@
 """Transitions of a car whose model is known."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from steerkit.learning.data.transitions import Transitions

@@ -14,8 +14,6 @@ and the contracts; it stops at the first failure. A failure counts if the same t
 Survivors are printed with place and diff. The exit code is 0, or 1 if fewer than --bound percent were caught.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import builtins

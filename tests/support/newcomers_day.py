@@ -3,8 +3,6 @@
 `python -m tests.support.newcomers_day DIRECTORY` does it with the `steerkit` that is installed beside the interpreter.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """opendbc's safety code, the C that runs in a panda between computer and car, as a judge of many commands at once."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.util
 from importlib.metadata import version

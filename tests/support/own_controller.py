@@ -1,7 +1,5 @@
 """A controller as a user would write it, in a file of its own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 TEXT = """

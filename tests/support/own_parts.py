@@ -1,7 +1,5 @@
 """Parts of an experiment as a user writes them: a place, a way to learn, a cost, an output element."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

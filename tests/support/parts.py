@@ -1,7 +1,5 @@
 """Small blocks to wire up in tests."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

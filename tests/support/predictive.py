@@ -1,7 +1,5 @@
 """What the tests of predictive steering share: a car, its motor, and a block driven without a loop."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

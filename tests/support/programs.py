@@ -1,7 +1,5 @@
 """Programs that tests start: as a fork of this process, which has imported what they need already, or as any other."""
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import os

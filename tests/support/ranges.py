@@ -1,7 +1,5 @@
 """The ends of a parameter's range: what lies at an end is accepted, what lies just beyond is refused."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Made-up recordings of a car whose parameters are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A short recording of an engaged drive, in chunks of a few messages whatever the clock said."""
 
-from __future__ import annotations
-
 import contextlib
 import resource
 import time

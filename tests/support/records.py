@@ -1,7 +1,5 @@
 """Small records of transitions."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from steerkit.learning.data.transitions import Transitions

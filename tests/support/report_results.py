@@ -1,7 +1,5 @@
 """A small results directory of known numbers, for tests of what reads results: drives, a grid, a learner, failures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

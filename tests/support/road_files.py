@@ -1,7 +1,5 @@
 """Roads in files, each by its format's own writer where there is one: OpenDRIVE (scenariogeneration), GPX (gpxpy)."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The shell lines that README, CONTRIBUTING and docs show a reader, and what the tests do with each of them."""
 
-from __future__ import annotations
-
 import functools
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Learning runs of some seconds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A world in which nothing is left to chance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from steerkit.diagram.block import Block

@@ -1,7 +1,5 @@
 """A car that is steered open loop, and what its sensors then say: what estimators are tried on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Transitions in a store, and whether two records are the same."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

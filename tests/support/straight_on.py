@@ -1,7 +1,5 @@
 """A car driven with the wheel held."""
 
-from __future__ import annotations
-
 from steerkit.diagram.block import Block
 
 

@@ -1,7 +1,5 @@
 """A car steered along a straight road, with a slow actuator."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from steerkit.controllers.delay import delayed_stanley

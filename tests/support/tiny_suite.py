@@ -1,7 +1,5 @@
 """A suite of a few seconds, and whether two runs of it agree."""
 
-from __future__ import annotations
-
 from benchmarks.run.compare import compare
 from benchmarks.run.results import Results
 from benchmarks.scenarios import scene

@@ -1,7 +1,5 @@
 """Blocks that hold everything equations may hold, for the compiler."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One drive in every format that `read_drive` knows, each written by the format's own library."""
 
-from __future__ import annotations
-
 import gzip
 import shutil
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A course in a file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

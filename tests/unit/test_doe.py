@@ -1,7 +1,5 @@
 """Output elements: their step responses, their limits, and that they go on from what was really steered."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

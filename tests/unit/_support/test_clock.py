@@ -1,7 +1,5 @@
 """The clock, on a machine's time that the test moves."""
 
-from __future__ import annotations
-
 import time
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Errors teach: a hint for a mistyped name, what is valid, and bounds that hold for every car of a batch."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Files: the old one or the new one, whole, whatever happens; and .npz files read with care."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """C source to a library: which compiler, which cache, and what a library in it is known by."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import re

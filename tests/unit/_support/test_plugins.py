@@ -1,7 +1,5 @@
 """What users write themselves, found by name, and one line for everything that can be wrong with it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Linearising loops, breaking them open, and systems to and from python-control."""
 
-from __future__ import annotations
-
 import math
 
 import control

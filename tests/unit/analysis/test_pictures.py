@@ -1,7 +1,5 @@
 """Pictures of linear analysis show what they are to show."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Systems to and from python-control give the same numbers there and here."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import control

@@ -1,7 +1,5 @@
 """Results that many tests read: a finished run of the tiny suite, and made-up ones."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.run.results import Results

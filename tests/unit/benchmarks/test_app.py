@@ -1,7 +1,5 @@
 """The benchmarks' command line."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import sys

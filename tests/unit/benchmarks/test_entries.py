@@ -1,7 +1,5 @@
 """Who drives: peers that are not installed are a row of their own, do-mpc drives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

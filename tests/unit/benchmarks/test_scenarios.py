@@ -1,7 +1,5 @@
 """What the suites drive: where it begins, where it is judged, and what a compiled drive leaves open."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The suites hang together, and unknown names are answered with the known ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

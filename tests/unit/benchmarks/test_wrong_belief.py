@@ -1,7 +1,5 @@
 """Wrong beliefs about a car: off by the stated amounts, with all signs; everything else is true."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """A recording of a drive, and one calibration for all tests that look at one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The guided drive: what it does to the car, who may end it, and what its recording gives again."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The vehicle file of a drive: what was found, what was not, what was known before, and what has changed."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """The car's block says that it is one car."""
 
-from __future__ import annotations
-
 import pytest
 
 from steerkit.car.client import CarLost, RealCar, ReplayLink

@@ -1,7 +1,5 @@
 """The TOML file of a car: what is shipped is right, and every mistake is named with what would be valid."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

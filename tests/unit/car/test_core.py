@@ -1,7 +1,5 @@
 """The core against noise."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

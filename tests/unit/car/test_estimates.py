@@ -1,7 +1,5 @@
 """What is found of a car in any drive: true, within its intervals, and never at the cost of the drive."""
 
-from __future__ import annotations
-
 import copy
 import math
 from dataclasses import replace

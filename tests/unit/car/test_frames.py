@@ -1,7 +1,5 @@
 """Frames and values: against cantools, against the published CRC, and around every code."""
 
-from __future__ import annotations
-
 import math
 
 import cantools

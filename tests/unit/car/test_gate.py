@@ -1,7 +1,5 @@
 """The gate: whatever comes in, what goes out is finite, in range, and no faster than allowed."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The loop on a car: what controllers believe, which net drives, and which loop steers in each sample."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

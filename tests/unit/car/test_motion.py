@@ -1,7 +1,5 @@
 """Dead reckoning against the pose: closed forms of what is noticed and when; a sound car passes."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The panel without a terminal, and a car seen live."""
 
-from __future__ import annotations
-
 import time
 from types import SimpleNamespace
 from typing import Any, Self

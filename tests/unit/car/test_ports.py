@@ -1,7 +1,5 @@
 """Ports of a CAN bus: python-can without its MF4, and the far end of an slcan line."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

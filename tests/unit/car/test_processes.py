@@ -1,7 +1,5 @@
 """The processes of a car: what they import, what they are told by a program and by the command line, how they end."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

@@ -1,7 +1,5 @@
 """Packets between car server and client: there and back, strange ones are told."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Recordings of a drive: written, read, cut, damaged, repaired, replayed bit for bit."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import math

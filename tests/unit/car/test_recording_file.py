@@ -1,7 +1,5 @@
 """A recording's file: every message counts, damage stays where it is, and no bytes raise anything but a ValueError."""
 
-from __future__ import annotations
-
 import io
 import json
 import random

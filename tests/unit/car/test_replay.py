@@ -1,7 +1,5 @@
 """Recorded drives: taken apart by controller, and replayed with the very net that drove."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

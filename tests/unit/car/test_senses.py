@@ -1,7 +1,5 @@
 """What the frames say: values, ages, and what is wrong although each frame is well."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

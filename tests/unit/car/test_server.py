@@ -1,7 +1,5 @@
 """The car server's socket: whose file it is, how many may come, and that nobody keeps the others waiting."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """The simulated car: its kit does what a kit does."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Who steers: every state with every fact and every order, exhaustively."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """A command line as a function: what it prints, for the exit code that is expected."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The command line: complete help, --version, exit codes, NO_COLOR, completion; mistakes are one line."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

@@ -1,7 +1,5 @@
 """`steerkit car`: results where they are expected, and mistakes answered in one line with exit code 2."""
 
-from __future__ import annotations
-
 import fcntl
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`steerkit drive` in simulation: results where they are expected, and what is one's own is driven too."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A learning run goes out as an ONNX model and as a Minari data set that its own environment can be recovered from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`steerkit learn`, and what its run directory is for: `show` and `drive`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`steerkit courses` and `steerkit vehicles`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

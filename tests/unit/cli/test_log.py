@@ -1,7 +1,5 @@
 """`steerkit log` and `steerkit plot`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

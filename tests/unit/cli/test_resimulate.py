@@ -1,7 +1,5 @@
 """`steerkit resimulate`: a table, a picture, JSON."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

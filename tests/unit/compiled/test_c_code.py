@@ -1,7 +1,5 @@
 """Generated C: what Python's numbers and tables are there, and where a batch of cars goes on."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Callable

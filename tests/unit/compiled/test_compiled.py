@@ -1,7 +1,5 @@
 """Compiled loops: closed forms, continuation, parameters, errors, cache, gradients."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

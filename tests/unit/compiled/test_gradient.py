@@ -1,7 +1,5 @@
 """Gradients of a run's cost are those of closed forms and of differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The graph of instructions simplifies only what is exact."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Blocks that call code of their own: compiled loops call it too, and where they cannot, they say so."""
 
-from __future__ import annotations
-
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

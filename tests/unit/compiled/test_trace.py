@@ -1,7 +1,5 @@
 """Tracing: linear substeps collapse, what cannot be traced is named with the way out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

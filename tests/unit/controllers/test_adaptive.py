@@ -1,7 +1,5 @@
 """An adaptive controller follows valid estimates, slowly and within bounds, and drives as if it knew its car."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A forecast is where the car will be: against a car that is moved by the same numbers, and in every backend."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """How far a car will get: closed forms, the mirror, and what the real gate makes of it."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A filter that raises, is late or answers nothing leaves the wheel to the recovery controller, and it is said why."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """How far and how fast a command may turn the wheel."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

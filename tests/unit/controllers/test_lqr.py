@@ -1,7 +1,5 @@
 """The LQR: its model, its gains, what delay states are, and that it holds bends without an offset."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

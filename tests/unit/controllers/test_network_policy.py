@@ -1,7 +1,5 @@
 """Networks and any function as controllers: as in the environment, compiled, from their file."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

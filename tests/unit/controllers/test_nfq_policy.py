@@ -1,7 +1,5 @@
 """The greedy policy: one formula in floats, batches and symbols; faults show; files come back bit for bit."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys

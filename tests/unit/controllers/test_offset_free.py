@@ -1,7 +1,5 @@
 """Whatever is constantly wrong, the car ends on its path, and a car that comes back to it is not turned past it."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, replace

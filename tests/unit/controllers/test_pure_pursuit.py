@@ -1,7 +1,5 @@
 """Pure pursuit: its circle, its baseline behaviour, and the ends of a path."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Safe commands pass unchanged, others are corrected, and no adversary leaves the path."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Stanley's law, term by term, and its symmetries."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

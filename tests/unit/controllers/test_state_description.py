@@ -1,7 +1,5 @@
 """What the learner's state is made of: scaled, seen in a mirror, and refused where that has no meaning."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

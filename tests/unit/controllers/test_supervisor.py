@@ -1,7 +1,5 @@
 """Who steers: trip and release, faults, and hand-overs without a jump."""
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A moved target comes to a lost car and goes back slowly."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """A wave on top of a controller: how large, when not, and that neither the controller nor who adapts is misled."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

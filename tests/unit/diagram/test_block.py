@@ -1,7 +1,5 @@
 """Ports: what a block class makes of its declarations."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from dataclasses import dataclass, replace

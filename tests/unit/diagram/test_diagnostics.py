@@ -1,7 +1,5 @@
 """Whose code went wrong, and where; the messages themselves are a table of tests/contract/test_wrong_inputs.py."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Loops: what they answer, how they settle; ticks, rates and states are exact."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """States of a loop in files: saved and loaded bit for bit; broken and foreign ones are refused."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """One formula for floats, arrays and symbols."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The runner, on a clock that the test moves: no drift, misses counted and acted on, slots left out."""
 
-from __future__ import annotations
-
 import gc
 import math
 import os

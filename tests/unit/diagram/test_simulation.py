@@ -1,7 +1,5 @@
 """Simulation and logs: batches equal single runs, logs keep names, units and shapes through every file format."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

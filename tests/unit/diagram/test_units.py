@@ -1,7 +1,5 @@
 """Degrees and radians."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every mistake in the wiring is told when the loop is built."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """A wrapper is the block inside, but for what it changes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

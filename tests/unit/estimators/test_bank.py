@@ -1,7 +1,5 @@
 """The bank's regressions are those of batch least squares, and its lowest point that of a parabola."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A quantity is read out of an estimator's outputs by its name, with its interval."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import norm

@@ -1,7 +1,5 @@
 """What holds for every estimator of a car: at a standstill, overridden, with samples lost, out of range."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The sparse arithmetic of covariances against that of whole matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

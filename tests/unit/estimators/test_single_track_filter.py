@@ -1,7 +1,5 @@
 """The numbers are found where driving shows them, within their intervals; else the priors stay."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Dead time and lag are found from commands and answers, within their intervals, and only where there is something."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Friction and free play are found from the loops that they leave, and are not taken for delay."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

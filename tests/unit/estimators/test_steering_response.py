@@ -1,7 +1,5 @@
 """An angle arrives when lag and delay say, between samples too; the yaw rate is the linear single track's."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The vehicle-state estimator against the truth of a simulated car: late, lost, swapped, broken and jumping samples."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

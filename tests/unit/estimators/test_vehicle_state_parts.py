@@ -1,7 +1,5 @@
 """The parts of the vehicle-state estimator: measurements by their age, a stiff step of the car, and the correction."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

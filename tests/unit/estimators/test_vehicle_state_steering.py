@@ -1,8 +1,6 @@
 """With `steering`, the estimator follows ratio and zeros as they are found, slowly, within bounds; then it knows
 where a car is whose data sheet is wrong."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache

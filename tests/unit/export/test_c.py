@@ -1,7 +1,5 @@
 """Exported C compiles without a warning, runs clean under sanitizers and replays its log."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Cars out: what other programs make of the numbers is the same car."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A loop as an FMU: driven by FMPy it gives the numbers of `simulate`, in a Python that knows no steerkit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

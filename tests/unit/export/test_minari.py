@@ -1,7 +1,5 @@
 """Data sets for Minari hold the transitions of a run."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A policy as an ONNX model says what the block says, and refuses what it cannot say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """N cars of a task, sample by sample: an episode ends for one reason."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

@@ -1,7 +1,5 @@
 """One car as an environment: its steps are those of the same loop simulated."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Episodes in C are those of Python, in whatever way they go on, with however many threads."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

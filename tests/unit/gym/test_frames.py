@@ -1,7 +1,5 @@
 """Frames show the car and change with it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

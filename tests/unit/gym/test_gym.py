@@ -1,7 +1,5 @@
 """Gymnasium's own checks, and one import is enough."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from typing import Any

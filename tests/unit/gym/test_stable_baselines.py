@@ -1,7 +1,5 @@
 """Policies of Stable-Baselines3 as blocks."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import gymnasium

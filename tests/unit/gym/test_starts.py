@@ -1,7 +1,5 @@
 """Where episodes start: settled in the bend, with room before the end, each with the driver and noise of its seed."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

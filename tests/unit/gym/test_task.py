@@ -1,7 +1,5 @@
 """What is steered, with which actions: options, rewards, ends."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

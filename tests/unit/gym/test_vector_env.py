@@ -1,7 +1,5 @@
 """Many cars as one environment are the single ones, through ends and starts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

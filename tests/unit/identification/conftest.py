@@ -1,7 +1,5 @@
 """A clean recording, and what is identified from a noisy one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The fit gives the car back, its intervals cover the truth; what was identified predicts other drives, and is kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

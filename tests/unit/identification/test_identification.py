@@ -1,7 +1,5 @@
 """The shipped drives give the figures of the documentation; what is identified drives as the car that was recorded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

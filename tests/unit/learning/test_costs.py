@@ -1,7 +1,5 @@
 """Costs by hand, symmetric and within one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

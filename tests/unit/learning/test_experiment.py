@@ -1,7 +1,5 @@
 """The learning experiment: it counts, it resumes with the same numbers, and it refuses what is not its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

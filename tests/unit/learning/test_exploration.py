@@ -1,7 +1,5 @@
 """Exploration takes the share of other actions that was asked for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

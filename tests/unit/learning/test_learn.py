@@ -1,7 +1,5 @@
 """Updates from a record alone, without driving."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

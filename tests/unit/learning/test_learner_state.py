@@ -1,7 +1,5 @@
 """The learner's story: when it is trained, on what, and who may steer; fed to a trainer that a test holds in hand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

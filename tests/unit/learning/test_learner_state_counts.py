@@ -1,7 +1,5 @@
 """Counting: metres, episodes, failures, rounds."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

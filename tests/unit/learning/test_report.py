@@ -1,7 +1,5 @@
 """What a person sees of a run while it learns."""
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import replace

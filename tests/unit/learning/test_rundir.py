@@ -1,7 +1,5 @@
 """Run directories: going on, broken and foreign ones, an experiment's plain form."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """One process at a time learns in a directory; whoever reads meanwhile sees a whole checkpoint."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

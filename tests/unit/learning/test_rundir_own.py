@@ -1,7 +1,5 @@
 """Parts of one's own in a run: found again when it is read, or refused before the first second."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import dataclass, replace

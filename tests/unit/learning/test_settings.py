@@ -1,7 +1,5 @@
 """Settings are changed by name, and wrong changes are told."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Training beside driving: nobody waits, nothing is lost silently, and the nets are those of `nfq.iterate`."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """CAN logs: what the DBC says, to the last decimal; frames that were spoilt are left out."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Names, units and column maps are read as those who wrote them meant them, and wrong ones teach."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What is in a log is told: rates, gaps, ranges, what is read as what, and why there is no drive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

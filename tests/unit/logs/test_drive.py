@@ -1,7 +1,5 @@
 """A recorded drive on one clock: repairs are stated, confusion is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

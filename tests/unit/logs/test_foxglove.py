@@ -1,7 +1,5 @@
 """Foxglove: the MCAP of a log, the live view, and layouts that name what is in them."""
 
-from __future__ import annotations
-
 import json
 import re
 import socket

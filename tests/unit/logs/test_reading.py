@@ -1,7 +1,5 @@
 """Every kind of file gives the same drive; what is none teaches."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every format, written by its own library, is read to the last bit, or to its resolution."""
 
-from __future__ import annotations
-
 import tempfile
 import tracemalloc
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A drive, driven again: where nothing is to be changed nothing is, and where something is, it is found."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

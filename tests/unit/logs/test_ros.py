@@ -1,7 +1,5 @@
 """ROS bags without ROS: what is read, and what is intact of a damaged one."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

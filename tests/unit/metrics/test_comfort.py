@@ -1,7 +1,5 @@
 """Comfort: filters of UN R79 and ISO 2631-1 against the standards' own tables."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Metrics of signals whose metrics are known, and the criterion at its bounds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

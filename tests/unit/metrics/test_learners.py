@@ -1,7 +1,5 @@
 """What learning cost, over seeds."""
 
-from __future__ import annotations
-
 import math
 
 from steerkit.metrics import Learned, learned

@@ -1,7 +1,5 @@
 """Every metric on a signal whose metric is known: sines, ramps, steps, and the standards' own tables."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Intervals and paired tests on samples whose answers are known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the wheel does: reversals are counted as ISO's procedure says."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """All metrics of a drive, and their table, which names each once and stands in the document."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

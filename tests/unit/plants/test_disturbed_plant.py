@@ -1,7 +1,5 @@
 """A pushed car: banks turn it as its steady state says, gusts follow their seed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A car from an FMU drives as the same car in steerkit; its state goes in and comes out."""
 
-from __future__ import annotations
-
 import subprocess
 import zipfile
 from pathlib import Path

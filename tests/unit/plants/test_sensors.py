@@ -1,7 +1,5 @@
 """Sensors: latency, bias, noise and drift have the stated sizes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Drivers set the speed: statistics, seeds, records, profiles over the path, bends; a recorded drive comes back."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

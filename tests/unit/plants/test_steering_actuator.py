@@ -1,7 +1,5 @@
 """The steering: lag, delay, rate limit and stops are exact; a link's quanta and delays; the loops of a worn column."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A short drive on a circle."""
 
-from __future__ import annotations
-
 import pytest
 
 from steerkit import Stanley, placed, simulate, steering_loop

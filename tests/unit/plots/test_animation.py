@@ -1,7 +1,5 @@
 """Films of a drive: frames, scale, mistakes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

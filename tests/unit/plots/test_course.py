@@ -1,7 +1,5 @@
 """Pictures of a course."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from steerkit.paths.courses import circle

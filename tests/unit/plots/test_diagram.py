@@ -1,7 +1,5 @@
 """Diagrams say names, units and rates, and texts fit."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

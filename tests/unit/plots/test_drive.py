@@ -1,7 +1,5 @@
 """Pictures of a drive: all of it is shown, and no half of a picture is blank."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

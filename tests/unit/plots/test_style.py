@@ -1,7 +1,5 @@
 """Figures in the project's style."""
 
-from __future__ import annotations
-
 from steerkit.plots.style import new_figure
 
 

@@ -1,7 +1,5 @@
 """The ready-made steering loop: the standard wires, by name, and teaching errors when a part is missing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

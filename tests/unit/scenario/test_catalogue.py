@@ -1,7 +1,5 @@
 """The catalogue: one recipe a controller, and what it is told is what it gets."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

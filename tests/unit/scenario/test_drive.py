@@ -1,7 +1,5 @@
 """A drive: held, caught, or lost; and those of learned policies, compiled."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Scenarios drawn by seed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

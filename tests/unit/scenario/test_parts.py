@@ -1,7 +1,5 @@
 """What a scenario is made of, when its steering is worn and its sensors are poor."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

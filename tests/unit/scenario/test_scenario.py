@@ -1,7 +1,5 @@
 """Scenarios: what makes one, what is refused, what controllers are told, and files that they keep."""
 
-from __future__ import annotations
-
 import math
 import os
 import pickle

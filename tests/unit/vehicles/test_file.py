@@ -1,7 +1,5 @@
 """Vehicle files: broken ones teach."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The fleet: what its table says, names, and cars drawn by seed."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import pytest

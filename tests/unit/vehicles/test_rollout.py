@@ -1,7 +1,5 @@
 """The roll-out: closed forms; and the real gate, frame by frame, never turns the wheel further than its model says."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

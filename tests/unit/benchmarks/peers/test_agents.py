@@ -1,7 +1,5 @@
 """Other libraries' controllers and learners drive and repeat themselves."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """python-control runs the same loop in both wirings: same outputs, same states."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

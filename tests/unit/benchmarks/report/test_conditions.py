@@ -1,7 +1,5 @@
 """The map of failures is the grid that was driven."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.report import conditions

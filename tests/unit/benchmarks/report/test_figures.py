@@ -1,7 +1,5 @@
 """Pictures of the report: what stands on an axis can be read."""
 
-from __future__ import annotations
-
 import itertools
 import re
 

@@ -1,7 +1,5 @@
 """The learning curve is the share of seeds that are good by then."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The verdict at a glance: the ratios are those of the results, coloured where certain, and one sentence tells them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The report: its numbers are those of the results, it asks nothing of the network, and a real browser likes it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

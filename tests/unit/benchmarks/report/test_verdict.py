@@ -1,7 +1,5 @@
 """The verdict: who won, by how much, and nothing from noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Two runs compared: what changed is found, and only that."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

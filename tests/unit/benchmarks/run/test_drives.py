@@ -1,7 +1,5 @@
 """One drive of a benchmark: compiled as interpreted, judged where it says."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The study of the fleet: what counts as GOOD, as a ratio, and as the worst."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

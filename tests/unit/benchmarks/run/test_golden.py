@@ -1,7 +1,5 @@
 """The golden numbers, and that a difference from them is seen."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

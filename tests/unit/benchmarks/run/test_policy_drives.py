@@ -1,7 +1,5 @@
 """Drives of learned policies, compiled, are those that are interpreted."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What determines a case's numbers is in its digest, and nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A results directory: what is written is read, nothing half, and what is broken is told."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

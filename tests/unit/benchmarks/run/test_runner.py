@@ -1,7 +1,5 @@
 """The runner: the same numbers whatever carries them out, and no finished case is lost."""
 
-from __future__ import annotations
-
 import math
 import signal
 import subprocess

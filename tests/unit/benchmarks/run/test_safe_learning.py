@@ -1,7 +1,5 @@
 """Runs that are kept: what is there is not made again, a half line is no run, and what counts as a departure."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

@@ -1,7 +1,5 @@
 """Which files and packages numbers depend on."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

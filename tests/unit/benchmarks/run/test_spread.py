@@ -3,8 +3,6 @@
 Clusters of real processes are in tests/evals/test_cluster.py.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import re

@@ -1,7 +1,5 @@
 """What a training came to: minutes are minutes, GOOD is GOOD, and each net is reported as itself."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Test drives of many policies at once give the numbers of one drive after the other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

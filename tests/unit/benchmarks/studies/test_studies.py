@@ -1,7 +1,5 @@
 """Studies are called in one way; each has a quick form, which runs as a process here and prints figures."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """How studies judge what was driven: by hand, on logs of a few samples."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Predictive steering in good order, when things go wrong, and in compiled loops; and its copies."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

@@ -1,7 +1,5 @@
 """A sample's programme: what is asked is done and no more, and the path ahead is read where the car will be."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The quadratic programme of predictive steering: it says what its docstring says, and wrong answers fail the check."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

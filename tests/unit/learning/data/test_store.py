@@ -1,7 +1,5 @@
 """The transition store: it never delays a step, survives a kill, refuses what it cannot vouch for, and merges."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sqlite3

@@ -1,7 +1,5 @@
 """Store files: each commit reaches the disk; foreign, truncated, damaged and half made ones are noticed."""
 
-from __future__ import annotations
-
 import sqlite3
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Stores merged into one."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 from pathlib import Path

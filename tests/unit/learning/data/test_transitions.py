@@ -1,7 +1,5 @@
 """The record of transitions: it grows, it refuses nonsense, and it comes back from disk as it was."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Dead time out of recorded transitions: the one that a car really has, and what goes with it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Costs, targets and updates of NFQ: by hand first, then invariants."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple
 from functools import partial

@@ -1,7 +1,5 @@
 """The learned model of the car: what it finds, its symmetries, and what is imagined with it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The record of the finished short run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The film of a run says what was: who drove, for how long, how far off, how often it failed."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Pictures of a policy show the values and actions that it takes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

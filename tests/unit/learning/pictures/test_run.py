@@ -1,7 +1,5 @@
 """The diagnostics show what the run and the policy really are: pictures are read back and compared."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Built-in courses on disk are those that would be made, and nothing else is taken for them."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path as File
 

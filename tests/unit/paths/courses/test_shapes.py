@@ -1,7 +1,5 @@
 """Manoeuvres ask of the car what they are made for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """From a line to a course: what is smoothed, what cannot be driven, and the file that keeps it."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path as FilePath
 from typing import Any

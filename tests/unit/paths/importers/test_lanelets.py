@@ -1,7 +1,5 @@
 """CommonRoad scenarios, Lanelet2 maps and plain ways of OSM."""
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Routes through pieces that are connected, and those that are not."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

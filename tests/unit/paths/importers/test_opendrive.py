@@ -1,7 +1,5 @@
 """OpenDRIVE maps: lanes beside a reference line, links, junctions, both hands, and what is told and not used."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from itertools import pairwise

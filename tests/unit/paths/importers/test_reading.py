@@ -1,7 +1,5 @@
 """From a file to a drive, and what becomes of files that are damaged."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path as FilePath

@@ -1,7 +1,5 @@
 """GPX, GeoJSON and CSV as their writers write them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path as FilePath
 

@@ -1,7 +1,5 @@
 """XML that is read piece by piece, and what is done to harm."""
 
-from __future__ import annotations
-
 import tracemalloc
 from pathlib import Path as FilePath
 from xml.etree.ElementTree import Element
