@@ -1,0 +1,50 @@
+"""What recovery is counted on for: a round of the course under delay, and a car whose delay nobody knows."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from steerkit import compile, course, placed, simulate, steering_loop, vehicle
+from steerkit.controllers.delay import delayed_stanley
+from steerkit.learning.learner_state import untrained
+from steerkit.learning.settings import DEFAULT
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import assembled
+
+PASSAT = vehicle("vw-passat")
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.2])
+def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> None:
+    """Nonlinear car, 0.1 s lag; the driver would drive 9 m/s. Tyres and ratio off: still within 0.3 m."""
+    path = course("paper")
+    loop = steering_loop(
+        car=placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path),
+        path=path,
+        driver=CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=9.0, v_max=9.0)),
+        controller=delayed_stanley(PASSAT, delay=delay, lag=0.1),
+        actuator=SteeringActuator(delay=delay, lag=0.1),
+        reference=PASSAT.l_f,
+    )
+    cars = {
+        "car.vehicle.c_f": PASSAT.c_f * np.array([1.0, 0.7]),
+        "car.vehicle.steer_ratio": PASSAT.steer_ratio * np.array([1.0, 1.1]),
+    }
+    log = compile(loop, record=["path.e", "path.progress"], every=5, parameters=list(cars)).run(130.0, parameters=cars)
+    assert log["path.progress"][-1].min() > path.length
+    assert (np.abs(log["path.e"]).max(axis=0) < [0.1, 0.3]).all()
+
+
+@pytest.mark.parametrize(("recovery", "low", "high"), [("adaptive", 0.0, 0.15), ("auto", 1.0, math.inf)])
+def test_only_the_adaptive_one_recovers_a_car_of_unknown_delay(recovery: str, low: float, high: float) -> None:
+    """The largest |e| from 10 s on while nothing is learned."""
+    place = Scenario.under("hard", steering={"delay": 0.35, "lag": 0.28}, knowledge={"delay": 0.0}, recovery=recovery)
+    never = replace(untrained(DEFAULT, 0), ready_from=math.inf)
+    loop = assembled(place, never, doe=DEFAULT.element(place.nominal), recovery=place.recovery_controller())
+    e = simulate(loop, 15.0, every=round(0.05 / loop.dt), allow_nonfinite=True)["path.e"]
+    assert low < np.abs(e[200:]).max() < high
