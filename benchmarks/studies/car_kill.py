@@ -26,6 +26,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from benchmarks.studies.car_realtime import attended, engage
 from steerkit._support.clock import Clock
 from steerkit._support.files import write_text
 from steerkit.car import processes
@@ -81,7 +82,7 @@ class Bench:
         self.controller: subprocess.Popen[str] | None = None
         self.text = (folder / "text.log").open("w", encoding="utf-8")
         self.attended = contextlib.ExitStack()
-        self.attended.enter_context(processes.attended(self.socket))
+        self.attended.enter_context(attended(self.socket))
 
     def up(self) -> dict[str, Any]:
         """Start what is not running, and engage; returns the controller's state."""
@@ -105,7 +106,7 @@ class Bench:
 
     def engage(self) -> None:
         """As an operator would, again and again until it is done."""
-        processes.engage(self.socket, timeout=60.0)
+        engage(self.socket, timeout=60.0)
 
     @property
     def recording(self) -> Path:

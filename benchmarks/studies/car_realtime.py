@@ -13,13 +13,16 @@ nothing but compute run beside it.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -34,10 +37,50 @@ from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import course_of, load
 from steerkit.car.core import Core
 from steerkit.car.learner import CarLearner
-from steerkit.car.state_machine import Mode
+from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import realtime
 from steerkit.learning.settings import DEFAULT
 from steerkit.task import DT
+
+
+@contextlib.contextmanager
+def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
+    """Says, as an operator's panel does, that keys are read; for simulated cars only, where nobody has to let go.
+
+    A car server that ends is waited for: another may come.
+    """
+    over = threading.Event()
+
+    def beat() -> None:
+        while not over.wait(0.05):
+            with contextlib.suppress(CarLost), CarClient(socket_path, controller=False) as link:
+                while not over.wait(0.05 / time_scale):
+                    link.beat()
+
+    thread = threading.Thread(target=beat, name="operator", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(5.0)
+
+
+def engage(socket_path: str, *, timeout: float = 20.0) -> None:
+    """Arm, acknowledge and engage as an operator would, waiting for READY; for tests and simulated cars."""
+    orders = {Mode.OFF: Order.ARM, Mode.READY: Order.ENGAGE, Mode.FAULT: Order.ACKNOWLEDGE}
+    orders[Mode.OVERRIDE] = Order.ACKNOWLEDGE
+    end = time.monotonic() + timeout
+    with CarClient(socket_path, controller=False) as operator:
+        while (snapshot := operator.query()).mode is not Mode.ENGAGED:
+            operator.beat()
+            if snapshot.mode in orders:
+                operator.order(orders[snapshot.mode])
+            elif "kit " in snapshot.text:  # it has a fault latched
+                operator.order(Order.ACKNOWLEDGE)
+            if time.monotonic() > end:
+                raise CarLost(f"not engaged within {timeout:g} s: {snapshot.mode}: {snapshot.text}")
+            time.sleep(0.05)
 
 
 def drive(
@@ -66,7 +109,7 @@ def drive(
     beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
     granted = ""
     try:
-        with processes.attended(socket, time_scale=scale), CarClient(socket) as link:
+        with attended(socket, time_scale=scale), CarClient(socket) as link:
             over = threading.Event()
             engagements: list[str] = []
             threading.Thread(target=operate, args=(socket, over, engagements), daemon=True).start()
@@ -195,7 +238,7 @@ def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
             if snapshot.mode in (Mode.FAULT, Mode.OVERRIDE):
                 cause = snapshot.text.splitlines()[0]
             if snapshot.mode is not Mode.ENGAGED:
-                processes.engage(socket, timeout=60.0)
+                engage(socket, timeout=60.0)
                 engagements.append(cause)
             over.wait(0.2)
     except CarLost as error:

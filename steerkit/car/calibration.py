@@ -18,6 +18,7 @@ from steerkit.car.client import CarClient
 from steerkit.car.config import CarConfig
 from steerkit.car.estimates import DROVE, EARLIER, QUANTITIES, changes, earlier, known_in, report
 from steerkit.car.loop import Follow
+from steerkit.car.panel import Panel
 from steerkit.car.protocol import ESTIMATES
 from steerkit.car.state_machine import Mode
 from steerkit.diagram import realtime
@@ -252,7 +253,7 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
         guided = Guided(
             config=here.config, path=here.path, link=here.link, base=base, minutes=minutes, say=not here.live
         )
-        with here.panel(f"calibration, {base}", guided.status, "guide"):
+        with Panel(here, f"calibration, {base}", guided.status, "guide"):
             run = realtime.run(
                 guided.follow.resting,
                 timer=here.clock,

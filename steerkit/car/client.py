@@ -9,7 +9,7 @@ import struct
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from steerkit.car import protocol
 from steerkit.car.protocol import Snapshot
@@ -21,25 +21,6 @@ from steerkit.plants.single_track import Car
 
 class CarLost(ConnectionError):
     """The car server is gone or does not answer: there is no car any more."""
-
-
-class CarLink(Protocol):
-    """What a loop asks of a line to a car: of a `CarClient`, or of a `ReplayLink`."""
-
-    last: Snapshot | None
-    """The last answer."""
-
-    def query(self) -> Snapshot:
-        """What the car server knows now."""
-        ...
-
-    def request(self, delta_sw: float) -> None:
-        """Ask for an angle [rad], computed from the last snapshot."""
-        ...
-
-    def note(self, message: protocol.Adapted) -> None:
-        """Note, for the recording, what a controller believes of the car."""
-        ...
 
 
 class CarClient:
@@ -192,14 +173,15 @@ class RealCar(Car):
     applied [rad], the angle that the gate let through last, or while not engaged the measured one.
     state: none. Raises CarLost when the car server is gone; TypeError when it is batched or traced.
 
-    link: the line to the car server. dt [s]: sample time.
+    link: the line to the car server: a `CarClient`, a `ReplayLink`, or what else has `last`, `query`, `request` and
+    `note`. dt [s]: sample time.
     """
 
     engaged = Out("1", direct=())
     applied = Out("rad", direct=())
 
     pure = False
-    link: CarLink
+    link: Any
 
     def init(self, batch: tuple[int, ...] = ()) -> tuple[Any, ...]:
         if batch:

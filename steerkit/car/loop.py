@@ -14,7 +14,7 @@ from typing import Any, Self
 from steerkit._support.clock import Clock
 from steerkit._support.errors import require
 from steerkit._support.plugins import is_outside
-from steerkit.car.client import CarClient, CarLink, RealCar
+from steerkit.car.client import CarClient, RealCar
 from steerkit.car.config import CarConfig, course_of
 from steerkit.car.estimates import EVERY
 from steerkit.car.protocol import Adapted, Filtered
@@ -58,7 +58,8 @@ class Follow:
     Depends on nothing but the snapshots, so that a recorded drive can be replayed.
     """
 
-    link: CarLink
+    link: Any
+    """The line to the car server: see `RealCar`."""
     resting: Loop
     """The loop while not engaged, or while the policy is not trusted: its recovery controller steers."""
     driving: Loop
@@ -71,7 +72,7 @@ class Follow:
     """Was the car off its path while engaged, or is there a fault, so that nothing found of it is to be believed?"""
 
     @classmethod
-    def of(cls, loop: Loop, link: CarLink) -> Self:
+    def of(cls, loop: Loop, link: Any) -> Self:
         """For a loop of `steerkit.car.loop.car_loop`."""
         resting, policy = loop, controller_of(loop)
         if isinstance(policy, NfqPolicy):
@@ -81,7 +82,6 @@ class Follow:
     def begin(self, run: Run) -> bool:
         """Take note of who steers; True when the loop began anew."""
         snapshot = self.link.last
-        assert snapshot is not None
         mode = str(snapshot.mode)
         self.engaged = mode == "ENGAGED"
         if mode == "FAULT" or (self.engaged and not abs(snapshot.e) <= TRIP):
@@ -264,7 +264,7 @@ def setting_of(place: FilePath) -> Setting:
 def car_loop(
     config: CarConfig,
     path: Path,
-    link: CarLink,
+    link: Any,
     controller: Block,
     *,
     doe: OutputElement | None = None,

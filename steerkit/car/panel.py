@@ -53,17 +53,15 @@ LONGEST_RATE = 200.0
 
 
 class Panel:
-    """Shows who steers and why, and turns keys into orders; without a terminal it prints transitions only.
+    """Shows who steers and why, and turns keys into orders; unless the session is `live` it prints transitions only.
 
     session: with `socket`, `timing`, `asked`, `learner_steers`, `adapted`, `filtered`, `corrections`, `watched`, and
-    `ending`, which ends the drive: so does a panel that breaks, as no key could disengage any more. live: draw.
+    `ending`, which ends the drive: so does a panel that breaks, as no key could disengage any more.
     more: a line of text of somebody else, and what it is about.
     """
 
-    def __init__(
-        self, session: Any, title: str, *, live: bool, more: Callable[[], str] | None = None, about: str = "learning"
-    ):
-        self.session, self.title, self.live, self.more, self.about = session, title, live, more, about
+    def __init__(self, session: Any, title: str, more: Callable[[], str] | None = None, about: str = "learning"):
+        self.session, self.title, self.live, self.more, self.about = session, title, session.live, more, about
         self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
         self._over = self._engaged = False
         self._attended = sys.stdin.isatty() or session.options.simulated

@@ -13,9 +13,8 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any, TextIO
@@ -28,7 +27,6 @@ from steerkit.car.ports import BusPort, SlcanPort
 from steerkit.car.recording import Recording, described
 from steerkit.car.server import CarServer
 from steerkit.car.simulated import Fault, SimulatedCar
-from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram.realtime import preferred
 
 OF = "session: "
@@ -54,19 +52,13 @@ def start(name: str, arguments: Mapping[str, Any], **popen: Any) -> subprocess.P
 
 
 def start_car_server(
-    config: str,
-    socket_path: str,
-    *,
-    recording: str = "",
-    channel: str = "",
-    time_scale: float = 1.0,
-    realtime: bool = False,
-    log: TextIO | None = None,
-    wait: float = 15.0,
+    config: str, socket_path: str, *, log: TextIO | None = None, wait: float = 15.0, **options: Any
 ) -> subprocess.Popen[str]:
-    """Start the process that owns the bus, and wait until it answers; raises CarLost when it does not."""
-    options = {"config": config, "socket": socket_path, "recording": recording, "channel": channel}
-    process = start("server", {**options, "time_scale": time_scale, "realtime": realtime}, stdout=log, stderr=log)
+    """Start the process that owns the bus, and wait until it answers; raises CarLost when it does not.
+
+    options: what `server` takes. log: for what it says. wait: for its first answer [s].
+    """
+    process = start("server", {"config": config, "socket": socket_path, **options}, stdout=log, stderr=log)
     end = time.monotonic() + wait
     while time.monotonic() < end and process.poll() is None:
         try:
@@ -153,46 +145,6 @@ def fault_of(line: str, start: float) -> Fault:
     kind, target, *numbers = line.split()
     length, amount = (*map(float, numbers), *(float("inf"), 0.0)[len(numbers) :])
     return Fault(kind=kind, target=target, start=start, length=length, amount=amount)
-
-
-@contextlib.contextmanager
-def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
-    """Says, as an operator's panel does, that keys are read; for simulated cars only, where nobody has to let go.
-
-    A car server that ends is waited for: another may come.
-    """
-    over = threading.Event()
-
-    def beat() -> None:
-        while not over.wait(0.05):
-            with contextlib.suppress(CarLost), CarClient(socket_path, controller=False) as link:
-                while not over.wait(0.05 / time_scale):
-                    link.beat()
-
-    thread = threading.Thread(target=beat, name="operator", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join(5.0)
-
-
-def engage(socket_path: str, *, timeout: float = 20.0) -> None:
-    """Arm, acknowledge and engage as an operator would, waiting for READY; for tests and simulated cars."""
-    orders = {Mode.OFF: Order.ARM, Mode.READY: Order.ENGAGE, Mode.FAULT: Order.ACKNOWLEDGE}
-    orders[Mode.OVERRIDE] = Order.ACKNOWLEDGE
-    end = time.monotonic() + timeout
-    with CarClient(socket_path, controller=False) as operator:
-        while (snapshot := operator.query()).mode is not Mode.ENGAGED:
-            operator.beat()
-            if snapshot.mode in orders:
-                operator.order(orders[snapshot.mode])
-            elif "kit " in snapshot.text:  # it has a fault latched
-                operator.order(Order.ACKNOWLEDGE)
-            if time.monotonic() > end:
-                raise CarLost(f"not engaged within {timeout:g} s: {snapshot.mode}: {snapshot.text}")
-            time.sleep(0.05)
 
 
 def server(

@@ -141,7 +141,10 @@ class Senses:
         if "lat" in values:
             values = self._local(values)
         if "x" in values:
-            self._check_position(t, arrived, values, gap)
+            if gap > self.config.states.pose_age:
+                self._motion.forget()
+            if what := self._motion.pose(arrived, values["x"], values["y"]):  # it is wrong, whatever its CRC says
+                self._grave(t, what)
         if "delta_sw" in values and "delta_sw" in self.values and gap < 1.0:
             turned = abs(values["delta_sw"] - self.values["delta_sw"])
             if turned > WHEEL_RATE * gap + 0.2:
@@ -192,13 +195,6 @@ class Senses:
         assert origin is not None
         x, y, _ = pymap3d.geodetic2enu(values["lat"], values["lon"], 0.0, *map(math.radians, origin), 0.0, deg=False)
         return {**values, "x": float(x), "y": float(y)}
-
-    def _check_position(self, t: float, arrived: float, values: dict[str, float], gap: float) -> None:
-        """A position that does not move as speed, heading, yaw rate and wheel say is wrong, whatever its CRC says."""
-        if gap > self.config.states.pose_age:
-            self._motion.forget()
-        if what := self._motion.pose(arrived, values["x"], values["y"]):
-            self._grave(t, what)
 
     def _reckon(self, arrived: float) -> None:
         """Add the way since the last speed, heading and yaw rate to what dead reckoning has."""

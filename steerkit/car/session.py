@@ -68,8 +68,6 @@ class Session:
         self.timing: Timing | None = None
         self.asked: float | None = None
         """The angle that the controller asked for last [rad]."""
-        self.safe = False
-        """Is there a safety filter before the gate?"""
         self.adapted: Adapted | None = None
         """What a controller that adapts believes of the car."""
         self.filtered: Filtered | None = None
@@ -94,13 +92,6 @@ class Session:
             if run.sample["car.engaged"] > 0.5:
                 self.corrections.append(self.filtered.share > 0.0)
         return self.ending
-
-    def panel(self, title: str, more: Any = None, about: str = "learning") -> Any:
-        """The live panel; without a terminal, or with --quiet, one line for each transition.
-
-        more: a line of text of somebody else, called `about`.
-        """
-        return Panel(self, title, live=self.live, more=more, about=about)
 
     @property
     def live(self) -> bool:
@@ -216,7 +207,7 @@ def _claimed(place: FilePath) -> Iterator[TextIO]:
 def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
     """`steerkit drive --car`: drive with a controller for so long (0: until `q`); returns its figures."""
     controller = loops.controller_named(name, loaded(options.config)[0])  # mistakes first, processes then
-    with session(options) as here, here.panel(name):
+    with session(options) as here, Panel(here, name):
         run = loops.drive(
             here.config,
             here.path,
@@ -235,9 +226,8 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
     with session(options) as here:
         loops.check_allowed("element", how.doe, here.config)
         here.link.wait(timeout=10.0)
-        here.safe = how.safe
         with CarLearner(how, place, here.config, here.path, here.link, seed=seed, recovery=options.recovery) as learner:
-            with here.panel(f"learning, {how.name}", learner.status):
+            with Panel(here, f"learning, {how.name}", learner.status):
                 run = learner.run(60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)
             print(learner.status())
             merit = learner.figures()

@@ -226,10 +226,6 @@ def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     return tables
 
 
-_PIECE = 1 << 13
-"""Values that are read at a time."""
-
-
 def read_mf4(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """The channels that are numbers, a table a channel group, with the file's units; needs asammdf."""
     try:
@@ -289,22 +285,15 @@ def _tables(file: Any, notes: list[str]) -> list[Table]:
 
 
 def _channel(file: Any, group: int, index: int) -> tuple[np.ndarray, np.ndarray, str] | None:
-    """Times, values and unit of a channel, read piece by piece, as asammdf takes several times what it reads; None for
-    one that holds no numbers."""
-    times, parts, unit, place = list[np.ndarray](), list[np.ndarray](), "", 0
-    while True:
-        signal = file.get(group=group, index=index, record_offset=place, record_count=_PIECE)
-        values = np.asarray(signal.samples)
-        if values.dtype.kind not in "fiub" or values.ndim != 1:
-            return None
-        numbers = values.astype(float)
-        if signal.invalidation_bits is not None:
-            numbers[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
-        times.append(np.array(signal.timestamps, dtype=float))
-        parts.append(numbers)
-        unit, place = signal.unit or "", place + _PIECE
-        if len(numbers) < _PIECE:
-            return np.concatenate(times), np.concatenate(parts), unit
+    """Times, values and unit of a channel; None for one that holds no numbers."""
+    signal = file.get(group=group, index=index)
+    values = np.asarray(signal.samples)
+    if values.dtype.kind not in "fiub" or values.ndim != 1:
+        return None
+    numbers = values.astype(float)
+    if signal.invalidation_bits is not None:
+        numbers[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
+    return np.array(signal.timestamps, dtype=float), numbers, signal.unit or ""
 
 
 def _buses(file: Any, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.studies.car_realtime import attended
 from steerkit._support.clock import Clock
 from steerkit.car import config as configured
 from steerkit.car import loop as loops
@@ -54,7 +55,7 @@ def drive(socket: str, name: str = "stanley", *, seconds: float = 20.0, most: in
     config, path = configured.loaded(CONFIG)
     modes: list[Mode] = []
     with (
-        processes.attended(socket),
+        attended(socket),
         CarClient(socket, timeout=5.0) as link,
         CarClient(socket, controller=False, timeout=5.0) as operator,
     ):

@@ -81,7 +81,7 @@ class World:
         """The loop of a controller, or of a policy."""
         return loops.car_loop(self.config, self.path, self, controller, doe=doe)
 
-    # a CarLink
+    # a line to the car, as a CarClient
     def query(self) -> protocol.Snapshot:
         self.packet(protocol.Query())
         assert self.last is not None

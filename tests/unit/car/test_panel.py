@@ -47,10 +47,10 @@ def shown(
     monkeypatch.setattr(panel, "CarClient", lambda *words, **more: line)
     monkeypatch.setattr(panel, "_ring", lambda: rings.append(1))
     options = SimpleNamespace(simulated=simulated, time_scale=100.0)
-    session: Any = SimpleNamespace(socket="", options=options, ending=False, timing=None)
+    session: Any = SimpleNamespace(socket="", options=options, live=False, ending=False, timing=None)
     end = time.monotonic() + 60.0
     try:
-        with Panel(session, "a drive", live=False):
+        with Panel(session, "a drive"):
             while not session.ending and (len(line.modes) > 1 or lost):
                 assert time.monotonic() < end
                 time.sleep(0.001)
