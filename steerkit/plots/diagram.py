@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import isotonic_regression
 
 from steerkit.plots.style import COLOURS, DPI, PALETTE, style
 
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from steerkit.diagram.block import Port
     from steerkit.diagram.loop import Loop
 
 
@@ -107,8 +107,7 @@ def _towards(corner: tuple[float, float], other: tuple[float, float], radius: fl
 
 HEAD = 2.3
 CHARACTER = 0.36
-_FOOT, _GAP, _TRACK, _SLACK = 0.45, 1.3, 0.62, 1.1
-_SWEEPS = 24
+_FOOT, _GAP, _TRACK, _SLACK, _LANE = 0.45, 1.3, 0.62, 1.1, 0.8
 
 Point = tuple[float, float]
 Order = tuple[int, ...]
@@ -126,6 +125,7 @@ class Box:
     labels: dict[str, str]
     width: float
     height: float
+    column: int = 0
     x: float = 0.0
     y: float = 0.0
 
@@ -135,7 +135,29 @@ class Line:
     """An output's wire in the picture: from block number `source`, one polyline to each input that it drives."""
 
     source: int
-    ways: list[list[Point]]
+    start: tuple[Box, str]
+    ends: list[tuple[Box, str]]
+    lane: float = 0.0
+    """Height at which it runs above the boxes or below them, to columns other than the next."""
+    tracks: dict[int, float] = field(default_factory=dict)
+    """Where it runs up or down left of a column: x by column."""
+
+    @property
+    def far(self) -> list[int]:
+        """The columns that it reaches by its lane."""
+        return [box.column for box, _ in self.ends if box.column != self.start[0].column + 1]
+
+    @property
+    def ways(self) -> list[list[Point]]:
+        """The polylines."""
+        box, out = self.start
+        y0, away = box.y + box.outputs[out], self.tracks[box.column + 1]
+        ways = []
+        for end, port in self.ends:
+            y1, back = end.y + end.inputs[port], self.tracks[end.column]
+            middle = [] if end.column == box.column + 1 else [(away, self.lane), (back, self.lane)]
+            ways.append([(box.x + box.width, y0), (away, y0), *middle, (back, y1), (end.x, y1)])
+        return ways
 
 
 @dataclass(frozen=True)
@@ -148,41 +170,39 @@ class Diagram:
     height: float
 
 
-@dataclass(eq=False)
-class _Net:
-    """One output and all the inputs it drives, with the way it takes."""
-
-    source: int
-    out: str
-    sinks: list[tuple[int, str]]
-    lane: float | None = None
-    track: dict[int, float] = field(default_factory=dict)  # channel -> x
-
-
-@dataclass(eq=False)
-class _Node:
-    """What takes room in a column: a box, or a wire that only passes through."""
-
-    key: Hashable
-    height: float
-    y: float = 0.0
-
-
 def arrange(loop: Loop) -> Diagram:
-    """The picture of a loop."""
-    boxes = tuple(_box(loop, i) for i in range(len(loop.names)))
-    nets = _nets(loop)
-    layer = _layers(len(boxes), nets, tuple(loop.names.index(name) for name in loop.order))
-    return _Router(boxes, nets, layer).diagram()
+    """The picture of a loop: a block stands right of those that drive it, in the order in which blocks are called.
+
+    Wires to the next column run straight there; those that leave out columns run above all boxes, those back below.
+    """
+    boxes = tuple(_box(loop, name) for name in loop.names)
+    made: dict[Port, Line] = {}
+    for a, b in loop.wires:
+        (source, out), (sink, port) = (loop.port_name(p).split(".") for p in (a, b))
+        k = loop.names.index(source)
+        made.setdefault(a, Line(k, (boxes[k], out), [])).ends.append((boxes[loop.names.index(sink)], port))
+    lines = tuple(made.values())
+    columns = _columns(loop, boxes, lines)
+    top, height = _lanes(lines, _stack(columns, lines))
+    for box in boxes:
+        box.y += top
+    x = 0.0
+    for number in range(len(columns) + 1):
+        x = _tracks(number, lines, x)
+        column = columns[number] if number < len(columns) else []
+        width = max((box.width for box in column), default=0.0)
+        for box in column:
+            box.x, box.width = x, width
+        x += width
+    return Diagram(boxes, lines, x, height)
 
 
-def _box(loop: Loop, i: int) -> Box:
-    name, block = loop.names[i], loop.blocks[loop.names[i]]
+def _box(loop: Loop, name: str) -> Box:
+    block = loop.blocks[name]
     wired = {a.spec.name for a, _ in loop.wires if a.block is block}
     outputs = [out for out in block.outputs if out.name in wired]
     labels = {p.name: f"{p.name} [{p.unit}]" if p.unit != "1" else p.name for p in outputs}
-    rate = 1.0 / block.dt
-    rate_text = f"{rate:.4g} Hz"
+    rate_text = f"{1.0 / block.dt:.4g} Hz"
     rows = max(len(block.inputs), len(outputs), 1)
     wide = max([len(p.name) for p in block.inputs], default=0) + max(map(len, labels.values()), default=0)
     width = CHARACTER * max(wide + 4, len(name) * 1.35 + len(rate_text) + 3, len(type(block).__name__) * 0.85 + 2)
@@ -198,35 +218,84 @@ def _box(loop: Loop, i: int) -> Box:
     )
 
 
-def _nets(loop: Loop) -> list[_Net]:
-    nets: dict[tuple[int, str], _Net] = {}
-    number = {id(block): i for i, block in enumerate(loop.blocks.values())}
-    for a, b in loop.wires:
-        source, out = number[id(a.block)], a.spec.name
-        nets.setdefault((source, out), _Net(source, out, [])).sinks.append((number[id(b.block)], b.spec.name))
-    return list(nets.values())
-
-
-def _layers(n: int, nets: Sequence[_Net], order: Order) -> list[int]:
-    """The column of each block: as few wires as possible run backwards, then the longest forward path counts."""
-    weight: dict[tuple[int, int], int] = defaultdict(int)
-    for net in nets:
-        for sink, _ in net.sinks:
-            weight[net.source, sink] += 1
+def _columns(loop: Loop, boxes: Sequence[Box], lines: Sequence[Line]) -> list[list[Box]]:
+    """The boxes of each column: as few wires as possible run backwards, then the longest forward path counts."""
+    weight = Counter((line.source, loop.names.index(box.name)) for line in lines for box, _ in line.ends)
 
     def backward(order: Order) -> float:
         at = {block: k for k, block in enumerate(order)}
         return sum(w for (a, b), w in weight.items() if at[a] > at[b])
 
-    order = _ordered(order, backward)
-    layer = [0] * n
+    order = _ordered(tuple(map(loop.names.index, loop.order)), backward)
     for k, block in enumerate(order):
-        layer[block] = max([layer[a] + 1 for a in order[:k] if weight.get((a, block))], default=0)
-    for k in reversed(range(n)):  # one with more wires ahead than behind moves up to those it feeds
-        ahead = {b: weight[order[k], b] for b in order[k + 1 :] if weight.get((order[k], b))}
-        if sum(ahead.values()) > sum(weight.get((a, order[k]), 0) for a in order[:k]):
-            layer[order[k]] = min(layer[b] for b in ahead) - 1
-    return layer
+        boxes[block].column = max((boxes[a].column + 1 for a in order[:k] if weight[a, block]), default=0)
+    for k in reversed(range(len(order))):  # one with more wires ahead than behind moves up to those it feeds
+        behind, ahead = order[:k], [b for b in order[k + 1 :] if weight[order[k], b]]
+        if sum(weight[order[k], b] for b in ahead) > sum(weight[a, order[k]] for a in behind):
+            boxes[order[k]].column = min(boxes[b].column for b in ahead) - 1
+    last = max(box.column for box in boxes)
+    return [[box for box in boxes if box.column == number] for number in range(last + 1)]
+
+
+def _stack(columns: list[list[Box]], wires: Sequence[Line]) -> float:
+    """Heights from left to right: a box stands where its wires from the column before are straight, if it can."""
+    for column in columns:
+        wanted: dict[int, float] = {}
+        for box in column:
+            straight = [
+                line.start[0].y + line.start[0].outputs[line.start[1]] - box.inputs[port]
+                for line in wires
+                for end, port in line.ends
+                if end is box and line.start[0].column == box.column - 1
+            ]
+            wanted[id(box)] = float(np.mean(straight)) if straight else 0.0
+        column.sort(key=lambda box: wanted[id(box)])
+        bottom = 0.0
+        for box in column:
+            box.y = max(wanted[id(box)], bottom)
+            bottom = box.y + box.height + _GAP
+    return max(box.y + box.height for column in columns for box in column)
+
+
+def _lanes(wires: Sequence[Line], bottom: float) -> tuple[float, float]:
+    """Gives wires that leave out columns their lanes; returns the height of those above, and of all."""
+    far = [line for line in wires if line.far]
+    above = [line for line in far if min(line.far) > line.start[0].column]
+    below = [line for line in far if line not in above]
+    top = _LANE * len(above)
+    for side, first, step in ((above, top - _LANE, -_LANE), (below, top + bottom + 1.0, _LANE)):
+        side.sort(key=lambda line: max(abs(column - line.start[0].column) for column in line.far))
+        for n, line in enumerate(side):
+            line.lane = first + step * n
+    return top, top + bottom + 1.0 + _LANE * len(below)
+
+
+def _tracks(channel: int, wires: Sequence[Line], x: float) -> float:
+    """Gives each wire that runs up or down left of column `channel` its own track; returns the column's place."""
+    spans: dict[int, tuple[list[float], list[float]]] = {}
+    for k, line in enumerate(wires):
+        box, out = line.start
+        leaves = [end.y + end.inputs[port] for end, port in line.ends if end.column == channel]
+        starts = box.column + 1 == channel
+        enters = [box.y + box.outputs[out]] if starts else []
+        if leaves or starts:
+            by_lane = [line.lane] if channel in line.far or (starts and line.far) else []
+            spans[k] = enters, leaves + by_lane
+
+    def pair(a: int, b: int) -> float:
+        """Cost of a's track left of b's: crossings, and much for horizontals that would lie on each other."""
+        right_of_a, left_of_b = spans[a][1], spans[b][0]
+        low_a, *_, high_a = sorted([*spans[a][0], *right_of_a] * 2)
+        low_b, *_, high_b = sorted([*left_of_b, *spans[b][1]] * 2)
+        crossings = sum(low_b < y < high_b for y in right_of_a) + sum(low_a < y < high_a for y in left_of_b)
+        return crossings + 50.0 * sum(abs(y - z) < 0.3 for y in right_of_a for z in left_of_b)
+
+    table = {(a, b): pair(a, b) for a in spans for b in spans if a != b}
+    first = tuple(sorted(spans, key=lambda k: -min([*spans[k][0], *spans[k][1]])))
+    order = _ordered(first, lambda order: sum(table[a, b] for n, a in enumerate(order) for b in order[n + 1 :]))
+    for n, k in enumerate(order):
+        wires[k].tracks[channel] = x + _SLACK + _TRACK * n
+    return x + (2.0 * _SLACK + _TRACK * (len(order) - 1) if order else 0.0)
 
 
 def _ordered(start: Order, cost: Callable[[Order], float]) -> Order:
@@ -239,162 +308,3 @@ def _ordered(start: Order, cost: Callable[[Order], float]) -> Order:
         if cost(candidate) >= least:
             return best
         best, least = candidate, cost(candidate)
-
-
-class _Router:
-    """Placement of the boxes and routing of the wires, step by step."""
-
-    def __init__(self, boxes: Sequence[Box], nets: Sequence[_Net], layer: Sequence[int]):
-        self.boxes, self.nets, self.layer = tuple(boxes), nets, layer
-        self.last = max(layer)
-        self.columns: list[list[_Node]] = [[] for _ in range(self.last + 1)]
-        self.node: dict[Hashable, _Node] = {}
-        for i, box in enumerate(boxes):
-            self._add(layer[i], i, box.height)
-        for k, net in enumerate(nets):
-            far = max(layer[sink] for sink, _ in net.sinks)
-            for column in range(layer[net.source] + 1, far):
-                self._add(column, (k, column), 0.0)
-
-    def _add(self, column: int, key: Hashable, height: float) -> None:
-        node = _Node(key, height)
-        self.node[key] = node
-        self.columns[column].append(node)
-
-    # ---- heights --------------------------------------------------------------------------------------------
-
-    def _left_end(self, k: int, channel: int) -> tuple[_Node, float] | None:
-        """Where net k enters a channel from the left: a node and the height below its top."""
-        net = self.nets[k]
-        column = channel - 1
-        if column == self.layer[net.source]:
-            return self.node[net.source], self.boxes[net.source].outputs[net.out]
-        return (self.node[k, column], 0.0) if (k, column) in self.node else None
-
-    def _right_ends(self, k: int, channel: int) -> list[tuple[_Node, float]]:
-        """Where net k leaves a channel to the right."""
-        ends = [
-            (self.node[sink], self.boxes[sink].inputs[port])
-            for sink, port in self.nets[k].sinks
-            if self.layer[sink] == channel
-        ]
-        return ends + ([(self.node[k, channel], 0.0)] if (k, channel) in self.node else [])
-
-    def place(self) -> None:
-        """Order and heights of every column, swept to and fro until neighbours line up."""
-        for column in self.columns:
-            _spread(column, [0.0] * len(column), [1.0] * len(column))
-        links: dict[_Node, list[tuple[int, float, _Node, float]]] = defaultdict(list)
-        for k in range(len(self.nets)):
-            for channel in range(1, self.last + 1):
-                left = self._left_end(k, channel)
-                if left is None:
-                    continue
-                for right in self._right_ends(k, channel):
-                    links[right[0]].append((-1, right[1], *left))
-                    links[left[0]].append((1, left[1], *right))
-        for sweep in range(_SWEEPS):
-            forth = sweep % 2 == 0
-            settled = sweep >= _SWEEPS - 8  # at the end, the order stays and both sides pull
-            for column in self.columns if forth else reversed(self.columns):
-                wanted, pull = [], []
-                for node in column:
-                    ends = [link for link in links[node] if settled or link[0] == (-1 if forth else 1)]
-                    aims = [other.y + offset - own for _, own, other, offset in ends]
-                    wanted.append(sum(aims) / len(aims) if aims else node.y)
-                    pull.append(float(len(aims)) if aims else 0.1)
-                if not settled:
-                    rank = sorted(range(len(column)), key=lambda n: wanted[n] + column[n].height / 2.0)
-                    column[:] = [column[n] for n in rank]
-                    wanted, pull = [wanted[n] for n in rank], [pull[n] for n in rank]
-                _spread(column, wanted, pull)
-        top = min(node.y for column in self.columns for node in column)
-        for column in self.columns:
-            for node in column:
-                node.y -= top
-        for i, box in enumerate(self.boxes):
-            box.y = self.node[i].y
-
-    # ---- wires ----------------------------------------------------------------------------------------------
-
-    def diagram(self) -> Diagram:
-        """The finished picture."""
-        self.place()
-        bottom = max(node.y + node.height for node in self.node.values())
-        returning = [net for net in self.nets if any(self.layer[s] <= self.layer[net.source] for s, _ in net.sinks)]
-        returning.sort(key=lambda net: self.layer[net.source] - min(self.layer[s] for s, _ in net.sinks))
-        for n, net in enumerate(returning):
-            net.lane = bottom + 1.0 + 0.8 * n
-        x = 0.0
-        for channel in range(self.last + 2):
-            x = self._channel(channel, x)
-            if channel <= self.last:
-                inside = [box for i, box in enumerate(self.boxes) if self.layer[i] == channel]
-                width = max(box.width for box in inside)
-                for box in inside:
-                    box.width, box.x = width, x
-                x += width
-        lines = [Line(net.source, list(self._ways(k))) for k, net in enumerate(self.nets)]
-        return Diagram(self.boxes, tuple(lines), x, bottom + 1.0 + 0.8 * len(returning))
-
-    def _channel(self, channel: int, x: float) -> float:
-        """Gives every wire that bends in this channel its own track; returns the channel's right edge."""
-        spans: dict[int, tuple[list[float], list[float], float, float]] = {}
-        for k, net in enumerate(self.nets):
-            left = self._left_end(k, channel)
-            enters = [left[0].y + left[1]] if left else []
-            leaves = [node.y + offset for node, offset in self._right_ends(k, channel)]
-            starts = channel == self.layer[net.source] + 1
-            if not (leaves or (starts and net.lane)):
-                continue
-            dives = net.lane is not None and channel <= self.layer[net.source] + 1
-            heights = enters + leaves + ([net.lane] if dives and net.lane is not None else [])
-            if max(heights) - min(heights) > 1e-6:
-                spans[k] = enters, leaves, min(heights), max(heights)
-
-        def pair(a: int, b: int) -> float:
-            """Cost of a's track left of b's: crossings, and much for horizontals that would lie on each other."""
-            (enter_a, leave_a, low_a, high_a), (enter_b, leave_b, low_b, high_b) = spans[a], spans[b]
-            del enter_a, leave_b
-            crossings = sum(low_b < y < high_b for y in leave_a) + sum(low_a < y < high_a for y in enter_b)
-            return crossings + 50.0 * sum(abs(y - z) < 0.3 for y in leave_a for z in enter_b)
-
-        def cost(order: Order) -> float:
-            return sum(table[a, b] for n, a in enumerate(order) for b in order[n + 1 :])
-
-        table = {(a, b): pair(a, b) for a in spans for b in spans if a != b}
-        order = _ordered(tuple(sorted(spans, key=lambda k: -spans[k][2])), cost)
-        for n, k in enumerate(order):
-            self.nets[k].track[channel] = x + _SLACK + _TRACK * n
-        edge = channel in (0, self.last + 1)
-        return x + (0.0 if edge and not order else 2.0 * _SLACK + _TRACK * max(len(order) - 1, 0))
-
-    def _ways(self, k: int) -> Iterator[list[Point]]:
-        """The polyline from the source to each sink of net k."""
-        net, home = self.nets[k], self.layer[self.nets[k].source]
-        source = self.boxes[net.source]
-        start = source.x + source.width, source.y + source.outputs[net.out]
-        for sink, port in net.sinks:
-            box = self.boxes[sink]
-            end = box.x, box.y + box.inputs[port]
-            points, column = [start], self.layer[sink]
-            if column > home:
-                for channel in range(home + 1, column + 1):
-                    y = end[1] if channel == column else self.node[k, channel].y
-                    if channel in net.track:
-                        points += [(net.track[channel], points[-1][1]), (net.track[channel], y)]
-            else:
-                assert net.lane is not None
-                away, back = net.track[home + 1], net.track[column]
-                points += [(away, start[1]), (away, net.lane), (back, net.lane), (back, end[1])]
-            yield [*points, end]
-
-
-def _spread(column: Sequence[_Node], wanted: Sequence[float], pull: Sequence[float]) -> None:
-    """Heights as near to those wanted (weighted least squares) as order and gaps allow."""
-    if not column:
-        return
-    sizes = [node.height + _GAP * (1.0 if node.height else 0.7) for node in column]
-    shifts = np.cumsum([0.0, *sizes[:-1]])
-    for node, y in zip(column, isotonic_regression(wanted - shifts, weights=pull).x + shifts):
-        node.y = float(y)
