@@ -137,7 +137,12 @@ def write_npz(file: File, arrays: Mapping[str, Any], *, compressed: bool = False
         atomic_write(file, durable=durable) as draft,
         draft.open("wb") as stream,
     ):  # given a name, savez would append .npz
-        save(stream, **arrays)
+        try:
+            save(stream, **arrays)
+        except ValueError as error:  # what zipfile says of a file that Ctrl-C left open hides the Ctrl-C
+            if isinstance(error.__context__, KeyboardInterrupt):
+                raise KeyboardInterrupt from error
+            raise
 
 
 LARGEST = 1 << 32

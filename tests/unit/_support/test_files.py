@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import threading
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -268,3 +269,15 @@ def test_a_bounded_file_gives_what_is_left_however_much_is_asked_for(tmp_path: P
         assert stream.read(1) == b""
         stream.seek(8)
         assert stream.read() == b"89"
+
+
+def test_ctrl_c_while_arrays_are_written_is_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(stream: Any, **arrays: Any) -> None:
+        with zipfile.ZipFile(stream, "w") as archive:
+            archive.open("a", "w").write(b"half")
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        files.write_npz(tmp_path / "a.npz", {"a": 1.0})
+    assert list(tmp_path.iterdir()) == []
