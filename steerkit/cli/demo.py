@@ -11,7 +11,6 @@ from typing import Annotated
 
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 from steerkit._support.console import console
 from steerkit.cli.options import Quiet, Seed
@@ -19,7 +18,7 @@ from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
-from steerkit.learning.report import figures_of_merit, in_lines
+from steerkit.learning.report import in_lines, show_several
 from steerkit.learning.settings import BANG_BANG, DEFAULT
 from steerkit.plots import drive as figures
 from steerkit.plots.style import save
@@ -32,7 +31,6 @@ class Part:
     """One learning run of the demonstration and the drives that its final policy and Stanley make."""
 
     name: str
-    merit: dict[str, object]
     learned: Log
     stanley: Log
 
@@ -66,7 +64,7 @@ def demo(
     jobs = [(name, experiment, out / _slug(name), seed, began) for name, experiment in EXPERIMENTS.items()]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         parts = list(pool.map(_part, jobs))
-    console.print(_milestones(parts))
+    show_several([out / _slug(name) for name in EXPERIMENTS])
     for part in parts:
         console.print(evaluate.comparison(part.name, {"learned": part.learned, "Stanley": part.stanley}))
     idoe, bang, _ = parts
@@ -108,21 +106,7 @@ def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> Part:
     doe = experiment.setting.element(scenario.nominal)
     learned = evaluate.drive(scenario, rundir.final_policy(place), doe=doe, seed=seed)
     stanley = evaluate.drive(scenario, scenario.recovery_controller(), seed=seed)
-    return Part(name, figures_of_merit(run), *(Log(g.t, g.signals, g.units) for g in (learned, stanley)))
-
-
-def _milestones(parts: list[Part]) -> Table:
-    columns = {
-        "first round begun (s)": "first_round_begun_s",
-        "failures before it": "failures_to_round",
-        **{name: name for name in ("failures", "rounds", "transitions")},
-    }
-    table = Table("run", *columns, title="learning, in driving time")
-    for part in parts:
-        begun = part.merit["first_round_begun_s"]
-        merit: dict[str, object] = part.merit | {"first_round_begun_s": "none" if begun is None else f"{begun:.0f}"}
-        table.add_row(part.name, *(str(merit[key]) for key in columns.values()))
-    return table
+    return Part(name, *(Log(g.t, g.signals, g.units) for g in (learned, stanley)))
 
 
 def _slug(name: str) -> str:

@@ -66,17 +66,8 @@ def drive(
 
     Several controllers drive the same course under the same conditions: one table, one picture.
     """
-    check_options(
-        ctx,
-        not_on_a_car={
-            "seed": "nothing is drawn by lot there",
-            "out": "say --recording FILE",
-            "animate": "a recording holds the drive",
-            "delay": "a car brings its own",
-            "pace": "a car has its own",
-        },
-        on_a_car_only=("minutes",),
-    )
+    elsewhere = {"seed": "nothing is drawn by lot there", "out": "say --recording FILE"}
+    check_options(ctx, not_on_a_car=elsewhere, on_a_car_only=("minutes",))
     asked = list(names or ())
     if asked and controller and asked != [controller]:
         raise ValueError(f"two controllers, '{asked[0]}' and --controller {controller}; name one")

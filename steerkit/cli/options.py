@@ -152,6 +152,8 @@ _NOT_ON_A_CAR = {
     "config": "an experiment is a simulation; choose --setting",
     "live": "the panel shows it",
     "stream": "say `steerkit car stream` in a second terminal",
+    "animate": "a recording holds the drive",
+    "pace": "a car has its own",
 }
 """Options of the simulation, and what a car has instead."""
 _ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "time_scale", "realtime")

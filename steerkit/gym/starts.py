@@ -24,7 +24,7 @@ from steerkit.plants.disturbed_plant import GUST_STATES, DisturbedPlant
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator, TorqueSteering
-from steerkit.scenario import END_MARGIN
+from steerkit.scenario import END_MARGIN, Scenario
 
 LEAST_ROOM = 30.0
 """A car on an open course starts at least so far from where it ends [m]."""
@@ -46,8 +46,7 @@ class Starts:
     A single-track car starts in the steady state of the bend it is in: sideslip, yaw rate, wheel and motor settled.
     """
 
-    place: Any
-    """The scenario, or what stands for it (`Task.place`)."""
+    place: Scenario
     loop: Loop
     path: Path
     limit: float

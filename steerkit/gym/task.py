@@ -85,8 +85,8 @@ class Task:
     conditions: str = "clean"
     """`clean`; `hard`: pose noise, sensor delay, a slower motor; or `real`: and noisy v, no sideslip, lost samples."""
     scenario: Any = None
-    """Instead of course, vehicle and conditions: a `Scenario`, a dictionary of its fields, its TOML file, or any object
-    with the methods of `steerkit.scenario.drive.Place`: any plant, course and disturbance."""
+    """Instead of course, vehicle and conditions: a `Scenario`, also one of your own with other blocks; a dictionary of
+    its fields, or its TOML file."""
     actions: str | Sequence[float] = "i-doe"
     """`i-doe` (the paper's steps), `bang-bang` (+-520 degrees at once), `continuous`, or angles [rad] of your own."""
     doe: str | Block | None = None
@@ -146,17 +146,18 @@ class Task:
         plain = (self.course, self.vehicle, self.conditions) == ("paper", "vw-passat", "clean")
         words = "course, vehicle and conditions belong to the scenario; give them inside `scenario`, or no scenario"
         require(self.scenario is None or plain, where, words)
-        _ = self.place
-        known_car = isinstance(self.place, Scenario)
-        require(known_car or self.safe is False, where, "safe needs a Scenario, which says what is believed of the car")
+        known_place = (
+            f"scenario {self.scenario!r:.60}, expected a Scenario, a dictionary of its fields, or its TOML file"
+        )
+        require(isinstance(self.place, Scenario), where, known_place)
         for name in self.safe if isinstance(self.safe, Mapping) else ():
             known(name, [field.name for field in dataclasses.fields(SafetyFilter)], "field of safe")
 
     # ---- what is steered ------------------------------------------------------------------------------------
 
     @cached_property
-    def place(self) -> Any:
-        """The scenario, or what stands for it."""
+    def place(self) -> Scenario:
+        """The scenario."""
         try:
             if self.scenario is None:
                 return Scenario.under(self.conditions, course=self.course, vehicle=self.vehicle)
@@ -184,8 +185,7 @@ class Task:
         if isinstance(self.doe, Block):
             return self.doe
         own = ACTIONS[self.actions][1] if isinstance(self.actions, str) else "integrator"
-        vehicle = self.place.nominal if isinstance(self.place, Scenario) else None
-        return make_element(self.doe or own, vehicle)
+        return make_element(self.doe or own, self.place.nominal)
 
     @cached_property
     def scale(self) -> float:

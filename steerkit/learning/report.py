@@ -257,6 +257,7 @@ _OF_RUNS: dict[str, Callable[[dict[str, Any]], str]] = {
     "rounds": lambda row: str(row["rounds"]),
     "updates": lambda row: str(row["updates"]),
     "first round [s]": lambda row: "-" if row["first_round_done_s"] is None else f"{row['first_round_done_s']:.0f}",
+    "failures before": lambda row: "-" if row["failures_to_round"] is None else str(row["failures_to_round"]),
     "held": lambda row: "yes" if row["drive"]["held"] else "no",
     "RMS e [m]": lambda row: f"{row['drive']['rms_e']:.3f}",
     "max e [m]": lambda row: f"{row['drive']['max_e']:.3f}",

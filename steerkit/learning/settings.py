@@ -175,9 +175,8 @@ LOW_PASS = replace(
 SMOOTH = replace(DEFAULT, name="smooth", cost=SmoothCost(cost=TanhCost(goal=0.15, action_cost=0.0)))
 """Jerk and turning of the wheel cost, not the mere taking of an action."""
 PAPER_BANG_BANG = replace(PAPER, name="paper-bang-bang", actions_deg=(-360.0, 360.0), doe="plain", cost=BandCost())
-PAPER_WARM = replace(PAPER, name="paper-warm", fit=replace(PAPER.fit, init="warm"))
 
-SETTINGS = {s.name: s for s in (DEFAULT, PAPER, PAPER_WARM, MODEL_FREE, BANG_BANG, LOW_PASS, SMOOTH, PAPER_BANG_BANG)}
+SETTINGS = {s.name: s for s in (DEFAULT, PAPER, MODEL_FREE, BANG_BANG, LOW_PASS, SMOOTH, PAPER_BANG_BANG)}
 
 
 def changed(setting: Setting, changes: Iterable[str]) -> Setting:

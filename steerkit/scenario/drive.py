@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, replace
-from typing import Any, Protocol
+from typing import Any, cast
 
 from rich.markup import escape
 from rich.table import Table
@@ -16,32 +16,14 @@ from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, Sample, simulate
 from steerkit.metrics import of_log
-from steerkit.paths.path import Path
 from steerkit.scenario.assembly import bare, steering_loop
 from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.scenario import Scenario
 from steerkit.task import TRIP
 
 
-class Place(Protocol):
-    """What a loop needs to know of where it drives; a `Scenario`, or anything else with these."""
-
-    @property
-    def ahead(self) -> float:
-        """Where e is judged: metres ahead of the centre of gravity."""
-        ...
-
-    def path(self) -> Path:
-        """The course."""
-        ...
-
-    def blocks(self, path: Path, s: float = 0.0, seed: int = 0) -> Mapping[str, Block | None]:
-        """Car (at arc length s [m]), driver, link, actuator, column, sensors, estimator; None for what is left out."""
-        ...
-
-
 def assembled(
-    place: Place,
+    scenario: Scenario,
     controller: Block,
     *,
     doe: Block | None = None,
@@ -53,34 +35,24 @@ def assembled(
 ) -> Loop:
     """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
 
-    place: course, car and disturbances. controller, doe, recovery, shift, safety: as for `steering_loop`. seed: of
-    driver, sensors, gusts and the link's delays. s: where the car starts [m]; None: where the place says.
+    controller, doe, recovery, shift, safety: as for `steering_loop`. seed: of driver, sensors, gusts and the link's
+    delays. s: where the car starts [m]; None: where the scenario says.
     Raises what `steering_loop` raises.
     """
-    path = place.path()
-    if s is None:
-        s = place.course.start if isinstance(place, Scenario) else 0.0
-    stop = place.nominal.delta_sw_max if isinstance(place, Scenario) else None
-    judge = Supervisor(limit=stop, dt=controller.dt) if recovery is not None and stop is not None else None
-    blocks: dict[str, Any] = dict(place.blocks(path, s, seed))
+    path, law = scenario.path(), cast(Any, bare(controller))
+    own = scenario.reference == "own" and hasattr(law, "reference")
+    blocks: dict[str, Any] = dict(scenario.blocks(path, scenario.course.start if s is None else s, seed))
     return steering_loop(
         path=path,
         controller=controller,
         doe=doe,
         recovery=recovery,
-        supervisor=judge,
-        reference=_reference(place, controller),
+        supervisor=None if recovery is None else Supervisor(limit=scenario.nominal.delta_sw_max, dt=controller.dt),
+        reference=law.reference if own else scenario.ahead,
         shift=shift,
         safety=safety,
         **blocks,
     )
-
-
-def _reference(place: Place, controller: Block) -> float:
-    """Where e is judged [m ahead of the centre of gravity]."""
-    law = bare(controller)
-    own = getattr(place, "reference", "") == "own" and hasattr(law, "reference")
-    return float(law.reference) if own else place.ahead  # type: ignore[attr-defined]
 
 
 def controller(name: str, scenario: Scenario) -> Block:

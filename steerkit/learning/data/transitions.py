@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -59,14 +58,7 @@ class Transitions:
 
     def append(self, s: ArrayLike, a: float, s_next: ArrayLike, episode: int) -> None:
         """Record one transition; raises ValueError for a wrong length or a non-finite number."""
-        plain = isinstance(s, tuple) and isinstance(s_next, tuple) and len(s) == len(s_next) == len(self.names)
-        if plain and all(map(math.isfinite, (*s, *s_next, a))):  # type: ignore[misc]  # every sample of a drive
-            self._make_room(self._n + 1)
-            self._s[self._n], self._a[self._n], self._s_next[self._n] = s, a, s_next
-            self._episode[self._n] = episode
-            self._n += 1
-            return
-        self.extend(np.atleast_2d(np.asarray(s, dtype=float)), [a], np.atleast_2d(np.asarray(s_next, float)), [episode])
+        self.extend(np.atleast_2d(s), [a], np.atleast_2d(s_next), [episode])
 
     def extend(self, s: ArrayLike, a: ArrayLike, s_next: ArrayLike, episode: ArrayLike) -> None:
         """Record n transitions: s, s_next (n, columns), a (n,), episode (n,) or one number; all or none of them."""
@@ -81,19 +73,16 @@ class Transitions:
                 raise ValueError(f"Transitions: {fault}; end the episode before the faulty sample")
         require(bool(np.isfinite(a).all()), "Transitions", f"a = {a[~np.isfinite(a)][:1]} [rad], expected finite")
         end = self._n + n
-        self._make_room(end)
-        rows_now = slice(self._n, end)
-        self._s[rows_now], self._a[rows_now], self._s_next[rows_now] = s, a, s_next
-        self._episode[rows_now] = episode
-        self._n = end
-
-    def _make_room(self, end: int) -> None:
         if end > len(self._a):
             for name in ("_s", "_a", "_s_next", "_episode"):
                 old = getattr(self, name)
                 new = np.empty((max(end, 2 * len(old)), *old.shape[1:]), dtype=old.dtype)
                 new[: self._n] = old[: self._n]
                 setattr(self, name, new)
+        rows_now = slice(self._n, end)
+        self._s[rows_now], self._a[rows_now], self._s_next[rows_now] = s, a, s_next
+        self._episode[rows_now] = episode
+        self._n = end
 
     def frozen(self) -> Transitions:
         """The rows of this moment, without a copy: recorded rows never change."""

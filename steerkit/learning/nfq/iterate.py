@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,10 +55,7 @@ class FitSetting:
     discount: float = 0.95
     """gamma, in [0, 1): how much the next step's cost-to-go counts; 0.95 at 20 Hz looks about a second ahead."""
     epochs: int = number(300, low=0)
-    """Rprop epochs of each fit."""
-    init: Literal["fresh", "warm"] = "fresh"
-    """fresh: each fit starts from new random weights. warm: from the last net; quicker at first, but its sigmoids
-    saturate and learning stalls."""
+    """Rprop epochs of each fit, from new random weights: those of the last net saturate, and learning stalls."""
     hints: int = number(100, low=0)
     """Hint-to-goal patterns (target 0) in each fit; they pin the level of the Q-function. They are wrong where the car
     cannot stay for nothing, such as in a bend: 0 gives quicker and far steadier learning (model-free, 8 seeds: GOOD in
@@ -101,7 +98,6 @@ class FitSetting:
         where = "FitSetting"
         check_numbers(self, where)
         require(0.0 <= self.discount < 1.0, where, f"discount = {self.discount}, expected 0 <= discount < 1")
-        known(self.init, ("fresh", "warm"), f"{where}: init")
         known(self.combine, COMBINATIONS, f"{where}: combine")
         bridged = self.dead_time == 0.0 or self.imagined > 0
         require(
@@ -254,8 +250,6 @@ def iterate(
     for iteration in range(setting.iterations):
         x, y = _patterns(problem, transitions, nets, model, [seed, iteration])
         starts = [new_net(problem.sizes, [seed, iteration, 1 + k]) for k in range(setting.nets)]
-        if setting.init == "warm":
-            starts[: len(nets)] = nets[-setting.nets :]
         nets = tuple(_fit_all(starts, x, y, setting.epochs))
         if setting.symmetric:
             nets = (*nets, *(mirror_image(net, problem.description) for net in nets))

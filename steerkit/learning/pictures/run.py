@@ -96,19 +96,10 @@ class Record:
 def learning_curve(record: Record) -> Figure:
     """How long the learner steered, RMS e over the last seconds, and failures; shaded: recovery steers."""
     figure, (held, error, count) = new_figure(3, title=f"{record.name}: learning curve", width=10.5)
+    shade: dict[str, Any] = dict(color=COLOURS["recovery"], alpha=0.75, lw=0, step="post", label="recovery steers")
     for axis in (held, error, count):
-        axis.fill_between(
-            record.log.t,
-            0,
-            1,
-            where=~record.learning,
-            transform=axis.get_xaxis_transform(),
-            lw=0,
-            color=COLOURS["recovery"],
-            alpha=0.75,
-            step="post",
-            label="recovery steers",
-        )
+        span = axis.get_xaxis_transform()
+        axis.fill_between(record.log.t, 0, 1, where=~record.learning, transform=span, **shade)
     _draw_held(held, record, COLOURS["learned"], COLOURS["limit"])
     _draw_error(error, record, COLOURS["learned"])
     _draw_failures(count, record, COLOURS["learned"])
@@ -169,25 +160,15 @@ def _finish(count: Axes, records: Sequence[Record]) -> None:
 @styled
 def failure_map(record: Record) -> Figure:
     """Where on the course the recovery controller had to take over, and how sharp the bend was there."""
-    figure, (course, bends, when) = new_figure(2, title="", map_beside=True, height=5.2)
     at, log, line = record.failed_at, record.log, record.path.samples
-    figure.suptitle(
-        f"{record.name}: {len(at)} failures", x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=COLOURS["ink"]
-    )
+    title = f"{record.name}: {len(at)} failures"
+    figure, (course, bends, when) = new_figure(2, title=title, map_beside=True, height=5.2)
     course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["grid"], lw=5.0, solid_capstyle="round", zorder=1)
     course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["muted"], lw=0.7, zorder=2)
     course.plot(*line.xy[0], "o", color=COLOURS["ink"], ms=5, zorder=3)
     course.annotate("start", line.xy[0], xytext=(6, -11), textcoords="offset points", fontsize=8, color=COLOURS["ink"])
-    dots: dict[str, Any] = {
-        "c": log.t[at],
-        "cmap": "plasma_r",
-        "vmin": 0.0,
-        "vmax": float(log.t[-1]),
-        "s": 30,
-        "edgecolors": COLOURS["ink"],
-        "linewidths": 0.5,
-        "zorder": 4,
-    }
+    look: dict[str, Any] = dict(s=30, cmap="plasma_r", edgecolors=COLOURS["ink"], linewidths=0.5, zorder=4)
+    dots = look | {"c": log.t[at], "vmin": 0.0, "vmax": float(log.t[-1])}
     shown = course.scatter(log["car.x"][at], log["car.y"][at], **dots)
     course.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     figure.colorbar(shown, ax=course, label="driving time of the failure [s]", location="bottom", shrink=0.8, aspect=40)
@@ -224,22 +205,14 @@ def replay(record: Record, number: int, *, margin: float = 2.0) -> Figure:
     line = record.path.samples
     course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["grid"], lw=6.0, zorder=1)
     course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["paper"], lw=1.0, zorder=1)
-    dots = course.scatter(
-        log["car.x"][inside],
-        log["car.y"][inside],
-        c=np.abs(log["path.e"][inside]),
-        s=8,
-        lw=0,
-        cmap="viridis",
-        vmin=0.0,
-        zorder=3,
-    )
-    course.plot(log["car.x"][part], log["car.y"][part], color=COLOURS["muted"], lw=0.8, zorder=2)
+    x, y, off = log["car.x"], log["car.y"], np.abs(log["path.e"][inside])
+    dots = course.scatter(x[inside], y[inside], c=off, s=8, lw=0, cmap="viridis", vmin=0.0, zorder=3)
+    course.plot(x[part], y[part], color=COLOURS["muted"], lw=0.8, zorder=2)
     at = np.flatnonzero(inside)
     marks = [("o", at[0], COLOURS["ink"]), *([("X", at[-1], COLOURS["limit"])] if episode.failed else [])]
     for mark, k, colour in marks:
-        course.plot(log["car.x"][k], log["car.y"][k], mark, color=colour, ms=7, zorder=4)
-    _look_at(course, log["car.x"][inside], log["car.y"][inside])
+        course.plot(x[k], y[k], mark, color=colour, ms=7, zorder=4)
+    _look_at(course, x[inside], y[inside])
     figure.colorbar(dots, ax=course, label="|e| [m]", location="bottom", shrink=0.8, aspect=40)
     for axis in (e, psi, wheel, act):
         for span in ((t[0], 0.0), (ended - began, t[-1])):
@@ -249,18 +222,12 @@ def replay(record: Record, number: int, *, margin: float = 2.0) -> Figure:
     e.plot(t, log["path.e"][part], color=COLOURS["learned"])
     for limit in (-TRIP, TRIP):
         e.axhline(limit, color=COLOURS["limit"], lw=0.8, ls="--")
-    reach = min(1.2, max(0.1, 1.2 * float(np.abs(log["path.e"][inside]).max())))
+    reach = min(1.2, max(0.1, 1.2 * float(off.max())))
     e.set(ylabel="e [m]", ylim=(-reach, reach))
     psi.plot(t, degrees_of(log["path.psi_e"][part]), color=COLOURS["learned"])
     psi.set_ylabel("psi_e [deg]")
-    wheel.plot(
-        t,
-        degrees_of(log["supervisor.delta_sw"][part]),
-        color=COLOURS["muted"],
-        lw=1.0,
-        label="wanted",
-        drawstyle="steps-post",
-    )
+    wanted = degrees_of(log["supervisor.delta_sw"][part])
+    wheel.plot(t, wanted, color=COLOURS["muted"], lw=1.0, label="wanted", drawstyle="steps-post")
     wheel.plot(t, degrees_of(log["car.delta_sw"][part]), color=COLOURS["wheel"], label="steered")
     wheel.set_ylabel("wheel [deg]")
     wheel.legend(loc="best", ncols=2)

@@ -100,7 +100,7 @@ def test_the_demonstration_names_the_car_and_the_time_in_every_line(
     assert run("demo", "--out", str(tmp_path), monkeypatch=monkeypatch) == 0
     first, *lines = capfd.readouterr().out.splitlines()
     assert first.startswith("Three cars learn to steer from nothing: one, round; two; three [b].")
-    lines = lines[: next(k for k, line in enumerate(lines) if "learning, in driving time" in line)]
+    lines = lines[: next(k for k, line in enumerate(lines) if "3 runs" in line)]
     told = [re.fullmatch(r" *\d+ s  (one, round|two|three \[b\]): (.+)", line) for line in lines]
     assert all(told), lines
     said = [(match[1], match[2].partition(":")[0]) for match in told if match]

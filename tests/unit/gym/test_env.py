@@ -111,8 +111,3 @@ def test_with_a_filter_no_agent_fails() -> None:
     worst, failed = worst_of(gymnasium.make(ID, safe=True, **place), 100)
     assert not failed
     assert 0.2 < worst < 0.5
-
-
-def test_a_filter_needs_to_be_told_of_the_car() -> None:
-    with pytest.raises(ValueError, match="safe needs a Scenario"):
-        gymnasium.make(ID, scenario=object(), safe=True)

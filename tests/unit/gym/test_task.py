@@ -55,6 +55,7 @@ def test_options_choose_the_start() -> None:
         ({"doe": "filter"}, "valid: integrator, low-pass, plain"),
         ({"cost": "quadratic"}, "valid: smooth, paper"),
         ({"scenario": {"corse": "paper"}}, "a scenario has no field 'corse'; valid: name, reference"),
+        ({"scenario": object()}, "expected a Scenario, a dictionary of its fields, or its TOML file"),
         ({"scenario": Scenario(), "course": "genesis"}, "belong to the scenario"),
         ({"backend": "fortran"}, "valid: python, c"),
         ({"course": "papr"}, "did you mean 'paper'"),

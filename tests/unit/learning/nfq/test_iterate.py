@@ -175,14 +175,14 @@ def test_updates_say_what_is_wrong() -> None:
 
 
 def test_a_fit_is_the_papers_and_keeps_its_ranges() -> None:
-    assert astuple(PAPERS) == (0.95, 300, "fresh", 100, 1, 0, 1, 1, "mean", False, 1, 0, 4, (10, 10), False, 0.0)
+    assert astuple(PAPERS) == (0.95, 300, 100, 1, 0, 1, 1, "mean", False, 1, 0, 4, (10, 10), False, 0.0)
     keeps_range(FitSetting, "discount", "[0.0, 1.0)")
     keeps_range(partial(FitSetting, imagined=1), "dead_time", f"[0.0, {LONGEST * DT}]")
     for least in (0, 1):
         for name in ("epochs hints imagined window", "n_step nets iterations horizon keep")[least].split():
             keeps_range(FitSetting, name, f"[{least}, inf)")
     assert FitSetting(hidden=(1,)).hidden == (1,)
-    for wrong in ({"init": "cold"}, {"combine": "min"}, {"hidden": (10, 0)}, {"dead_time": 0.1}):
+    for wrong in ({"combine": "min"}, {"hidden": (10, 0)}, {"dead_time": 0.1}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             FitSetting(**wrong)  # type: ignore[arg-type]
 
@@ -216,7 +216,7 @@ def test_a_window_that_holds_everything_changes_nothing(window: int) -> None:
     assert nfq.newest(record, window) is record
 
 
-def test_the_newest_updates_work_together_and_warm_starts_begin_with_the_newest() -> None:
+def test_the_newest_updates_work_together_and_each_begins_afresh() -> None:
     record, nets, history = recorded(40), (), []
     for seed in range(4):
         nets = iterate(record, problem(keep=2, nets=2, epochs=1), nets, seed=seed)
@@ -225,8 +225,7 @@ def test_the_newest_updates_work_together_and_warm_starts_begin_with_the_newest(
     for before, after in pairwise(history):
         assert all(a is b for a, b in zip(before[-2:], after[:2], strict=True))
         assert not any(a is b for a in before for b in after[2:])
-    warm, fresh = (iterate(record, problem(keep=2, nets=2, epochs=0, init=init), nets) for init in ("warm", "fresh"))
-    assert all(np.array_equal(flat(a), flat(b)) for a, b in zip(nets[2:], warm[2:], strict=True))
+    fresh = iterate(record, problem(keep=2, nets=2, epochs=0), nets)
     assert not np.array_equal(flat(fresh[2]), flat(nets[2]))
 
 
