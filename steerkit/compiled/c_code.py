@@ -26,18 +26,17 @@ _INFIX = {
     "or": "|",
 }
 
-SCALAR_TYPES = """\
+_SCALAR = """\
 typedef double real;
 typedef int mask;
 #define NUMBER(x) (x)
 #define NOT(a) (!(a))
 #define SELECT(c, a, b) ((c) ? (a) : (b))
-#define CALL1(f, a) f(a)
-#define CALL2(f, a, b) f(a, b)
 #define ABS(a) fabs(a)
 #define ROW(name, table, i) const double *const name = row##table(i)
 #define AT(name, column) name[column]
 """
+SCALAR_TYPES = f"{_SCALAR}#define CALL1(f, a) f(a)\n#define CALL2(f, a, b) f(a, b)\n"
 
 _LOAD_AND_STORE = """\
 typedef void (*routine)(void *, const double *, double *);
@@ -326,15 +325,7 @@ _ONE = """\
 #include <string.h>
 #define INLINE static inline __attribute__((always_inline))
 #define LANES 1
-typedef double real;
-typedef int mask;
 typedef long long bits;
-#define NUMBER(x) (x)
-#define NOT(a) (!(a))
-#define SELECT(c, a, b) ((c) ? (a) : (b))
-#define ABS(a) fabs(a)
-#define ROW(name, table, i) const double *const name = row##table(i)
-#define AT(name, column) name[column]
 INLINE bits bits_of(double a) { bits b; memcpy(&b, &a, 8); return b; }
 INLINE double real_of(bits b) { double a; memcpy(&a, &b, 8); return a; }
 #define lanes_floor floor
@@ -503,5 +494,5 @@ INLINE real lanes_atan(real a)
 }
 """
 
-ONE = _ONE + _FUNCTIONS
+ONE = _SCALAR + _ONE + _FUNCTIONS
 MANY = _MANY + _FUNCTIONS

@@ -119,9 +119,7 @@ def check_outputs(name: str, block: Block, y: Any, shape: tuple[int, ...] | None
     shape: of a signal: () for one car, (N,) for a batch; None: either.
     """
     where = f"{name}.output ({type(block).__name__})"
-    if not isinstance(y, tuple | list):
-        given = "nothing (is a `return` missing?)" if y is None else f"{_shown(y)}, {_kind(y)}"
-        raise WiringError(f"{where} gave {given}, expected its outputs: return {_answer(block)}")
+    _check_tuple(where, y, f"its outputs: return {_answer(block)}")
     if len(y) != len(block.outputs):
         raise WiringError(f"{where} gave {len(y)} values, expected {len(block.outputs)}: return {_answer(block)}")
     for out, value in zip(block.outputs, y):
@@ -150,15 +148,19 @@ def check_state(
     shape: as for `check_outputs`. like: the state before, of as many numbers.
     """
     where = f"{name}.{method} ({type(block).__name__})"
-    if not isinstance(x, tuple | list):
-        given = "nothing (is a `return` missing?)" if x is None else f"{_shown(x)}, {_kind(x)}"
-        raise WiringError(f"{where} gave {given}, expected a tuple of numbers, such as (z,), or () for no state")
+    _check_tuple(where, x, "a tuple of numbers, such as (z,), or () for no state")
     if like is not None and len(x) != len(like):
         raise WiringError(f"{where} gave {len(x)} numbers, expected {len(like)}, as the state before has")
     for number in x:
         if not _is_number(number, shape):
             what = f"{_shown(number)}, {_kind(number)}, in its state"
             raise WiringError(f"{where} gave {what}, expected {_expected(shape)} in each place")
+
+
+def _check_tuple(where: str, values: Any, expected: str) -> None:
+    if not isinstance(values, tuple | list):
+        given = "nothing (is a `return` missing?)" if values is None else f"{_shown(values)}, {_kind(values)}"
+        raise WiringError(f"{where} gave {given}, expected {expected}")
 
 
 def require_block(block: Any, where: str, role: str, example: str) -> None:

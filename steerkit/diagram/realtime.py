@@ -8,7 +8,6 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
@@ -18,18 +17,6 @@ from steerkit.diagram.loop import Loop, LoopState, Sample
 BIN = 2e-5
 """Width of a bin of the jitter histogram [s]."""
 _BINS = 10_000
-
-
-class Timer(Protocol):
-    """A clock that can be waited for; `steerkit._support.clock.Clock`, or one that a test moves."""
-
-    def now(self) -> float:
-        """Time [s]."""
-        ...
-
-    def sleep_until(self, t: float) -> None:
-        """Return at time t, or at once."""
-        ...
 
 
 @dataclass(kw_only=True)
@@ -62,13 +49,11 @@ class Timing:
 
     def summary(self) -> dict[str, float]:
         """Figures for a report: counts, and times in milliseconds."""
-        quantiles = {f"jitter_p{p}_ms": 1e3 * self.jitter(p / 100) for p in (50, 99)}
         return {
             "steps": self.steps,
             "misses": self.misses,
             "rate_hz": 1.0 / self.period,
-            **quantiles,
-            "jitter_p99.9_ms": 1e3 * self.jitter(0.999),
+            **{f"jitter_p{p}_ms": 1e3 * self.jitter(p / 100) for p in (50, 99, 99.9)},
             "jitter_max_ms": 1e3 * self.worst,
             "longest_step_ms": 1e3 * self.longest,
         }
@@ -104,7 +89,7 @@ def run(
     duration: float = math.inf,
     *,
     state: LoopState | None = None,
-    timer: Timer | None = None,
+    timer: Clock | None = None,
     watch: Watcher | None = None,
     on_miss: Watcher | None = None,
 ) -> Run:

@@ -74,53 +74,46 @@ def first_round(log: Log, *, began: float | None, done: float | None, title: str
     return round_driven(part, title=f"{title}, begun {began:.0f} s after the start")
 
 
-def _with_map(log: Log, title: str) -> tuple[Any, tuple[Any, ...]]:
-    """A figure with a map on the left, which fills its place, and three panels: as high as the drive's map needs."""
-    width, depth = float(np.ptp(log["car.x"])), float(np.ptp(log["car.y"]))
+def _beside_a_map(drives: Mapping[str, tuple[Log, str]], title: str) -> tuple[Any, Any, Any]:
+    """A figure of drives in colours: error, wheel and acceleration over distance, beside a map that is still empty.
+
+    It is as high as the first drive's map needs to fill its place. Returns the figure, the map and the error's panel.
+    """
+    first = next(iter(drives.values()))[0]
+    width, depth = float(np.ptp(first["car.x"])), float(np.ptp(first["car.y"]))
     height = float(np.clip(1.2 + 4.0 * depth / max(width, 1e-9), 4.8, 6.4))
-    figure, axes = new_figure(rows=3, title=title, map_beside=True, height=height)
-    axes[0].set_aspect("equal", adjustable="datalim")
-    axes[0].set_xlabel("x [m]")
-    axes[0].set_ylabel("y [m]")
-    return figure, axes
+    figure, (course, *panels) = new_figure(rows=3, title=title, map_beside=True, height=height)
+    course.set_aspect("equal", adjustable="datalim")
+    course.set(xlabel="x [m]", ylabel="y [m]")
+    panels[0].axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.25, lw=0)
+    for name, (log, colour) in drives.items():
+        at = log["path.progress"] - log["path.progress"][0]
+        for panel, values in zip(panels, (log["path.e"], degrees_of(log["car.delta_sw"]), log["car.a_y"])):
+            panel.plot(at, values, color=colour, lw=1.0, label=name)
+    for panel, label in zip(panels, ("e [m]", "steering wheel [deg]", "a_y [m/s²]")):
+        panel.set_ylabel(label)
+    panels[-1].set_xlabel("distance driven [m]")
+    return figure, course, panels[0]
 
 
 @styled
 def round_driven(log: Log, other: Log | None = None, *, title: str) -> Any:
     """The course coloured by |e|, with cross-track error, steering wheel and lateral acceleration beside it."""
-    figure, axes = _with_map(log, title)
-    course, e_axis, wheel, comfort = axes
+    drives = {} if other is None else {"Stanley": (other, COLOURS["analytic"])}
+    figure, course, error = _beside_a_map(drives | {"this drive": (log, COLOURS["learned"])}, title)
     dots = course.scatter(log["car.x"], log["car.y"], c=np.abs(log["path.e"]), s=6, cmap="viridis", vmin=0.0)
     figure.colorbar(dots, ax=course, label="|e| [m]", shrink=0.8, aspect=40)
-    e_axis.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.25, lw=0)
-    for drive, colour, label in ((other, "analytic", "Stanley"), (log, "learned", "this drive")):
-        if drive is None:
-            continue
-        at = drive["path.progress"] - drive["path.progress"][0]
-        e_axis.plot(at, drive["path.e"], color=COLOURS[colour], lw=1.1, label=label)
-        wheel.plot(at, degrees_of(drive["car.delta_sw"]), color=COLOURS[colour], lw=1.1)
-        comfort.plot(at, drive["car.a_y"], color=COLOURS[colour], lw=1.1)
     if other is not None:
-        e_axis.legend(loc="upper right", ncols=2)
-    for axis, label in ((e_axis, "e [m]"), (wheel, "steering wheel [deg]"), (comfort, "a_y [m/s²]")):
-        axis.set_ylabel(label)
-    comfort.set_xlabel("distance driven [m]")
+        error.legend(loc="upper right", ncols=2)
     return figure
 
 
 @styled
 def rounds_driven(logs: Mapping[str, Log], *, title: str) -> Any:
     """Several drives over the same course in one picture: where they went, cross-track error, wheel, acceleration."""
-    figure, axes = _with_map(next(iter(logs.values())), title)
-    course, *panels = axes
-    for (name, log), colour in zip(logs.items(), cycle(PALETTE)):
+    drives = {name: (log, colour) for (name, log), colour in zip(logs.items(), cycle(PALETTE))}
+    figure, course, _ = _beside_a_map(drives, title)
+    for name, (log, colour) in drives.items():
         course.plot(log["car.x"], log["car.y"], color=colour, lw=1.1, label=name)
-        at = log["path.progress"] - log["path.progress"][0]
-        for panel, values in zip(panels, (log["path.e"], degrees_of(log["car.delta_sw"]), log["car.a_y"])):
-            panel.plot(at, values, color=colour, lw=1.0)
     course.legend(loc="best", fontsize=8.0)
-    panels[0].axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.25, lw=0)
-    for panel, label in zip(panels, ("e [m]", "steering wheel [deg]", "a_y [m/s²]")):
-        panel.set_ylabel(label)
-    panels[-1].set_xlabel("distance driven [m]")
     return figure

@@ -9,19 +9,20 @@ from typing import Any
 
 import pytest
 
+from steerkit._support.clock import Clock
 from steerkit.diagram.block import Block, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.realtime import BIN, Run, Timing, histogram_text, preferred, run
 
 
-@dataclass
-class Hand:
+class Hand(Clock):
     """A clock that stands still until somebody waits or works."""
 
-    t: float = 1000.0
-    late: dict[int, float] = field(default_factory=dict)
-    """How much later than asked the n-th wait returns."""
-    waits: list[float] = field(default_factory=list)
+    def __init__(self, late: dict[int, float] | None = None):
+        super().__init__()
+        self.t, self.waits = 1000.0, list[float]()
+        self.late = late or {}
+        """How much later than asked the n-th wait returns."""
 
     def now(self) -> float:
         return self.t
@@ -55,7 +56,7 @@ Late = dict[int, float] | None
 
 
 def go(work: Late = None, late: Late = None, seconds: float = 1.0, **options: Any) -> Any:
-    clock = Hand(late=late or {})
+    clock = Hand(late)
     worker = Worker(work=work or {}, clock=clock)
     return run(Loop(blocks={"worker": worker}, wires=[]), seconds, timer=clock, **options), clock
 
