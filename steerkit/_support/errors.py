@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import importlib
 import math
 from collections.abc import Iterable
 from numbers import Integral
@@ -22,6 +23,18 @@ def require(ok: Any, where: str, what: str) -> None:
     """Raise ValueError `where: what` unless `ok` (for all cars, if an array); blocks check their parameters with it."""
     if not (ok.all() if hasattr(ok, "all") else ok):
         raise ValueError(f"{where}: {what}")
+
+
+def optional(module: str, where: str, extra: str) -> Any:
+    """A module of an optional package; raises ValueError, naming the extra that brings it, where it is not installed.
+
+    where: what needs it, such as `a.parquet: Parquet`.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        package = module.partition(".")[0]
+        raise ValueError(f"{where} needs {package}: pip install 'steerkit-control[{extra}]'") from None
 
 
 def known(name: str, names: Iterable[str], where: str, *, also: str = "") -> str:

@@ -124,8 +124,6 @@ class CarClient:
 
 def _ours(line: socket.socket) -> bool:
     """Does the process at the other end belong to this user, or to root?"""
-    if not hasattr(socket, "SO_PEERCRED"):  # not Linux: the folder's permissions have to do
-        return True
     _, uid, _ = struct.unpack("3i", line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
     return uid in (os.getuid(), 0)
 

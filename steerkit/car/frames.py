@@ -130,7 +130,8 @@ class FrameReader:
         if self.counter:
             codes[self.counter] = count % self.modulus
         data = bytes(self.message.encode(codes, scaling=False, strict=strict))
-        return data if self._crc_byte is None else with_crc(data, self._crc_byte, self.frame_id)
+        at = self._crc_byte
+        return data if at is None else data[:at] + bytes([frame_crc(data, at, self.frame_id)]) + data[at + 1 :]
 
     def _code(self, value: float, mapping: Mapping) -> int:
         signal = self.message.get_signal_by_name(mapping.signal)
@@ -144,11 +145,6 @@ class FrameReader:
 def frame_crc(data: bytes, crc_byte: int, frame_id: int) -> int:
     """The CRC of a frame whose byte `crc_byte` holds it."""
     return crc8_2f(data[:crc_byte] + data[crc_byte + 1 :] + bytes((frame_id & 0xFF, frame_id >> 8 & 0xFF)))
-
-
-def with_crc(data: bytes, crc_byte: int, frame_id: int) -> bytes:
-    """The frame with its CRC in that byte."""
-    return data[:crc_byte] + bytes((frame_crc(data, crc_byte, frame_id),)) + data[crc_byte + 1 :]
 
 
 def signal_range(signal: Any) -> tuple[float, float]:

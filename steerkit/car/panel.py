@@ -45,6 +45,7 @@ COLOURS = {
     Mode.OVERRIDE: "magenta",
     Mode.FAULT: "red",
 }
+STEERS = {None: "", True: " by the learner", False: " by the recovery controller"}
 SHOWN = {name: f"car.{name}" for name in Snapshot._fields if name not in ("t", "mode", "text")}
 SHOWN |= {"e": "path.e", "psi_e": "path.psi_e", "command": "gate.delta_sw"}
 """What a snapshot holds, and its name among a drive's signals."""
@@ -142,6 +143,7 @@ class Panel:
         here, timing = self.session, self.session.timing
         asked = "nothing yet" if here.asked is None else f"{degrees_of(here.asked):+.1f} deg"
         sent = f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
+        who = STEERS[here.learner_steers] if s.mode is Mode.ENGAGED else ""
         steps = (
             timing
             and timing.steps
@@ -151,7 +153,7 @@ class Panel:
             ("state", Text(f"{s.mode}", style=f"bold {COLOURS[s.mode]}")),
             ("cause", cause),
             ("e, psi_e", f"{s.e:+.3f} m   {degrees_of(s.psi_e):+.1f} deg"),
-            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {sent}, asked for {asked}{self._who(s)}"),
+            ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {sent}, asked for {asked}{who}"),
             ("speed", f"{s.v:.2f} m/s, kit {s.v_kit:.2f} m/s   torque {s.torque:+.1f} N m"),
             ("ages", f"pose {_ms(s.pose_age)}, report {_ms(s.report_age)}, request {_ms(s.request_age)}"),
             ("errors", f"{s.errors:.0f}   frames sent {s.frames_sent:.0f}"),
@@ -169,12 +171,6 @@ class Panel:
                 table.add_row(*row)
         keys = HELP if sys.stdin.isatty() else "no keyboard here: no key disengages, a real car stays with the human"
         return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
-
-    def _who(self, s: Snapshot) -> str:
-        learner = self.session.learner_steers
-        if learner is None or s.mode is not Mode.ENGAGED:
-            return ""
-        return " by the learner" if learner else " by the recovery controller"
 
 
 def _ring() -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from steerkit._support.errors import known
 from steerkit.car import calibration, estimates, processes
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
@@ -146,10 +147,9 @@ def order(
     word: Annotated[str, typer.Argument(help="ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE or OFF.")], socket: Socket = ""
 ) -> None:
     """Give the car server an order from a second terminal, whatever the controller is doing."""
-    if word.upper() not in list(Order):
-        raise ValueError(f"order {word!r} is not known; valid: {', '.join(Order)}")
+    given = Order(known(word.upper(), Order, "order"))
     with CarClient(socket or processes.default_socket(), controller=False) as link:
-        link.order(Order(word.upper()))
+        link.order(given)
         snapshot = link.query()
         for why in link.refused:
             print(f"refused: {why}")

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import known, require
+from steerkit._support.errors import known, optional, require
 from steerkit._support.files import Bounded
 from steerkit.car.ports import python_can
 from steerkit.logs.channels import Table
 
-_NEEDS = "CAN logs need python-can and cantools: pip install 'steerkit-control[logs]'"
 _CANDUMP = re.compile(
     r"\((\d+\.\d+)\) +\S+ +([0-9A-F]+)#(?:#[0-9A-F])?(R\d*|(?:[0-9A-F]{2})*)( [RT])?\s*", re.IGNORECASE
 )
@@ -74,7 +73,7 @@ def _python_can(path: Path) -> Any:
     try:
         return python_can()
     except ImportError:
-        raise ValueError(f"{path}: {_NEEDS}") from None
+        raise ValueError(f"{path}: CAN logs need python-can: pip install 'steerkit-control[logs]'") from None
 
 
 def _opened(path: Path) -> Any:
@@ -148,10 +147,7 @@ class Decoder:
 
 def database(name: str) -> Any:
     """The DBC in a file, or that of the package opendbc of that name; raises ValueError for one that is neither."""
-    try:
-        import cantools
-    except ImportError:
-        raise ValueError(f"--dbc {name}: {_NEEDS}") from None
+    cantools = optional("cantools", f"--dbc {name}: a DBC", "logs")
     try:
         if name.endswith(".dbc") or Path(name).exists():
             return cantools.database.load_file(name, strict=False)

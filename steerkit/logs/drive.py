@@ -81,8 +81,6 @@ def _on(clock: Array, t: Array, values: Array, quantity: str) -> Array:
     on = np.asarray(np.interp(clock, t, values), dtype=float)
     steps = np.diff(t)
     pause = max(PAUSE, 5.0 * float(np.median(steps)))
-    if t[0] <= clock[0] and clock[-1] <= t[-1] and not (steps > pause).any():
-        return on
     behind = np.clip(np.searchsorted(t, clock, side="left"), 1, len(t) - 1)
     lost = (t[behind] - t[behind - 1] > pause) & (clock > t[behind - 1]) & (clock < t[behind])
     return np.where(lost | (clock < t[0]) | (clock > t[-1]), np.nan, on)
@@ -252,16 +250,12 @@ class Drive:
         drive = cls(
             name=name,
             dt=dt,
-            delta_sw=even["delta_sw"],
-            v=even["v"],
             r=rate,
             measured=measured,
             calibrated=calibrated,
-            psi=even.get("psi"),
-            x=even.get("x"),
-            y=even.get("y"),
             notes=tuple(remarks),
             digest=digest,
+            **{key: even[key] for key in ("delta_sw", "v", "psi", "x", "y") if key in even},
         )
         seconds = float(np.sum(drive.driving)) * dt
         require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")

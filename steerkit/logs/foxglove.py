@@ -23,8 +23,13 @@ from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
 from steerkit.logs.drive import Drive
 
-_STATES = ("v", "r", "beta", "psi", "a_y")
-_LOOP = ("e", "e_dot", "psi_e", "kappa", "s")
+_SOURCES = {
+    **{f"/car/{name}": [f"car.{name}", name] for name in ("x", "y", "v", "r", "beta", "psi", "a_y")},
+    **{f"/path/{name}": [f"path.{name}"] for name in ("e", "e_dot", "psi_e", "kappa", "s")},
+    "/wheel/delta_sw": ["car.delta_sw", "actuator.delta_sw", "delta_sw"],
+    "/wheel/delta_sw_cmd": [f"{block}.delta_sw" for block in ("supervisor", "doe", "controller", "gate")],
+}
+"""What the layouts call a signal, and the signals that may be it, best first."""
 POSE, DRIVEN = "/scene/pose", "/scene/driven"
 """Topics of Foxglove's 3D panel: where the car is, and the way that it came."""
 MOST = 2000
@@ -37,18 +42,9 @@ def shown_as(names: Iterable[str]) -> dict[str, str]:
     `/car/x`, `/wheel/delta_sw`, `/path/e`, ...: the first signal that holds it; all stand under `/signals/` too.
     """
     known = list(names)
-    shown: dict[str, str] = {}
-
-    def first(name: str, *sources: str) -> None:
-        shown.update([(name, source) for source in sources if source in known][:1])
-
-    for name in ("x", "y", *_STATES):
-        first(f"/car/{name}", f"car.{name}", name)
-    for name in _LOOP:
-        first(f"/path/{name}", f"path.{name}")
-    first("/wheel/delta_sw", "car.delta_sw", "actuator.delta_sw", "delta_sw")
-    first("/wheel/delta_sw_cmd", "supervisor.delta_sw", "doe.delta_sw", "controller.delta_sw", "gate.delta_sw")
-    return shown | {f"/signals/{name.replace('.', '/')}": name for name in known}
+    shown = {name: [source for source in sources if source in known] for name, sources in _SOURCES.items()}
+    first = {name: sources[0] for name, sources in shown.items() if sources}
+    return first | {f"/signals/{name.replace('.', '/')}": name for name in known}
 
 
 def by_topic(shown: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

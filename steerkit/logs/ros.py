@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import optional, require
 from steerkit._support.files import Bounded
 from steerkit.logs.can_frames import Decoder
 from steerkit.logs.channels import Table
@@ -202,15 +202,12 @@ def read_ros(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
 
     A topic is a table, on the clock of its stamps if it has such, else of when its messages were received.
     """
-    try:
-        from rosbags.highlevel import AnyReader
-    except ImportError:
-        raise ValueError(f"{path}: ROS bags need rosbags: pip install 'steerkit-control[logs]'") from None
+    rosbags = optional("rosbags.highlevel", f"{path}: a ROS bag", "logs")
     for file in [path] if path.is_file() else sorted(path.glob("*.db3")):
         _check_size(file)
     bag = _Bag(dbc)
     try:
-        with AnyReader([path], default_typestore=typestore()) as reader:
+        with rosbags.AnyReader([path], default_typestore=typestore()) as reader:
             for message in _messages(reader, notes):
                 bag.add(*message)
     except Exception as error:  # rosbags' errors have no common base, and what it is built on has others

@@ -16,7 +16,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import optional, require
 from steerkit._support.files import Bounded
 from steerkit._support.files import read_npz as arrays_of
 from steerkit.car import recording
@@ -158,10 +158,7 @@ def read_npz(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
 
 def read_parquet(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """Columns of numbers; units from the fields' metadata."""
-    try:
-        import pyarrow.parquet as parquet
-    except ImportError:
-        raise ValueError(f"{path}: Parquet needs pyarrow: pip install 'steerkit-control[logs]'") from None
+    parquet = optional("pyarrow.parquet", f"{path}: Parquet", "logs")
     try:
         table = parquet.read_table(str(path), page_checksum_verification=True)
     except Exception as error:  # pyarrow's errors have no base of their own
@@ -190,10 +187,8 @@ def is_own(head: bytes) -> bool:
 
 def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """What the car's frames say of steering wheel, speed, yaw rate, heading and place, each on its own clock."""
-    try:
-        recorded = recording.read(path)
-    except ImportError:
-        raise ValueError(f"{path}: MCAP needs the car's packages: pip install 'steerkit-control[car]'") from None
+    optional("cantools", f"{path}: the recording of a car", "car")
+    recorded = recording.read(path)
     if not recorded.whole:
         notes.append(f"the recording is damaged or cut short, what is intact is used: {recorded.kept()}")
     config = recording.config_of(recorded)
@@ -221,21 +216,19 @@ def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     for name, points in series.items():
         t, values = np.array(points).T
         means = {name: _MEANS[name]} if name in _MEANS else {}
-        units = {name: DIMENSION[name]} if name in _MEANS else {}
-        tables.append(Table(columns={name: values}, units=units, means=means, t=t))
+        tables.append(
+            Table(columns={name: values}, units={known: DIMENSION[known] for known in means}, means=means, t=t)
+        )
     return tables
 
 
 def read_mf4(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """The channels that are numbers, a table a channel group, with the file's units; needs asammdf."""
-    try:
-        from asammdf import MDF
-    except ImportError:
-        raise ValueError(f"{path}: MF4 needs asammdf: pip install 'steerkit-control[logs]'") from None
+    asammdf = optional("asammdf", f"{path}: MF4", "logs")
     trouble, tables = "", list[Table]()
     with _silent():
         try:
-            with Bounded(path) as stream, MDF(stream) as file:
+            with Bounded(path) as stream, asammdf.MDF(stream) as file:
                 tables = _tables(file, notes)
                 if dbc:
                     tables += _buses(file, dbc, notes)

@@ -8,9 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit._support.errors import check_numbers, known, number, require, require_within, whole_samples
+from steerkit._support.errors import check_numbers, known, number, optional, require, require_within, whole_samples
 
 NAMES = ("stanley", "pure-pursuit", "lqr")
+
+
+def test_a_package_that_is_not_installed_is_named_with_the_extra_that_brings_it() -> None:
+    assert optional("math", "a", "b") is math
+    with pytest.raises(ValueError, match=r"^a\.x: X needs no_such: pip install 'steerkit-control\[logs\]'$"):
+        optional("no_such.thing", "a.x: X", "logs")
 
 
 def test_a_known_name_is_itself_and_another_is_answered_with_the_nearest_and_all() -> None:
