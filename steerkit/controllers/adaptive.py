@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from steerkit._support.errors import number, require, require_within
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, State, entries_of, take_ports, without_port
+from steerkit.diagram.block import Block, In, State, entries_of, take_ports, without_port
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.wrapper import require_ports
 from steerkit.estimators.single_track_filter import SingleTrackFilter
@@ -81,7 +80,7 @@ class Adaptive(Block):
         step = self.delays[1] - self.delays[0]
         even = all(abs(b - a - step) < 1e-9 for a, b in zip(self.delays, self.delays[1:]))
         require(step > 0.0 and even, where, f"delays = {self.delays} [s], expected growing by the same step")
-        ports = [_units(block.inputs) | _units(block.outputs) for block in self.blocks]
+        ports = [{port.name: port.unit for port in (*block.inputs, *block.outputs)} for block in self.blocks]
         require(all(one == ports[0] for one in ports), where, "blocks have different ports, expected the same")
         require_ports(where, self.block, inputs=("v", "r"), outputs=("delta_sw",))
         require_within(where, "prior_delay", self.prior_delay, "s", self.delays[0], self.delays[-1])
@@ -200,7 +199,3 @@ class Adaptive(Block):
         if "delta_sw_meas" in values:
             values["delta_sw_meas"] = values["delta_sw_meas"] / ratio
         return ports(**values)
-
-
-def _units(ports: Sequence[In | Out]) -> dict[str, str]:
-    return {port.name: port.unit for port in ports}
