@@ -113,11 +113,6 @@ def test_a_wheel_beyond_the_bound_comes_back_no_faster_than_the_gate_lets_it() -
     assert near < far - 0.5
 
 
-def test_the_promise_above_is_of_the_defaults() -> None:
-    plain = ExcursionPredictor()
-    assert (plain.hold, plain.horizon, plain.gate.v_doubt) == (0.15, 2.0, 0.0)
-
-
 def test_foresight_needs_a_recovery_controller() -> None:
     passat = vehicle("vw-passat")
     with pytest.raises(WiringError, match="foresight without a recovery controller"):

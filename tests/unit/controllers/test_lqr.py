@@ -230,12 +230,6 @@ TWO_A = np.array([[1.0, 0.05], [0.0, 0.9]])
 TWO_B = np.array([0.001, 0.05])
 
 
-def test_the_golden_ratio() -> None:
-    """x+ = x + u at cost x^2 + u^2: P = 1 + P - P^2/(1 + P), so P^2 = P + 1."""
-    one = np.eye(1)
-    assert cost_to_go(one, one[0], one, 1.0) == pytest.approx(np.array([[0.5 * (1.0 + math.sqrt(5.0))]]), rel=1e-12)
-
-
 @given(e=st.floats(0.1, 10.0), rate=st.floats(0.0, 10.0), r=st.floats(1e-3, 1e3))
 def test_it_solves_the_riccati_equation(e: float, rate: float, r: float) -> None:
     q = np.diag([e, rate])

@@ -207,13 +207,6 @@ def test_a_law_that_does_not_see_the_wheel_begins_with_a_straight_one() -> None:
     assert block.settle(0.0, block.init(), block.U(e=0.3, v=5.0)) == (0.0, 0.0, 0.0, 0.3, 0.0)
 
 
-def test_what_it_is_not_made_for() -> None:
-    with pytest.raises(ValueError, match="expected among them delta_sw"):
-        OffsetFree(block=ConstantSpeed())
-    with pytest.raises(ValueError, match="expected among them e, v"):
-        OffsetFree(block=Integrator())
-
-
 # ---- a known offset -----------------------------------------------------------------------------------------------
 
 
@@ -240,7 +233,10 @@ def test_one_that_knows_the_offset_drives_as_if_there_were_none(name: str) -> No
     assert apart[1] < 0.1 * apart[0]
 
 
-def test_a_compensation_without_a_sense_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected among them delta_sw"):
-        CommandCompensation(block=ConstantSpeed())
+def test_what_they_are_not_made_for() -> None:
+    with pytest.raises(ValueError, match="expected among them e, v"):
+        OffsetFree(block=Integrator())
+    for kind in (OffsetFree, CommandCompensation):
+        with pytest.raises(ValueError, match="expected among them delta_sw"):
+            kind(block=ConstantSpeed())
     assert radians_of(5.0) == Scenario(steering={"offset_deg": 5.0}, knowledge={"oracle": True}).design_model().offset

@@ -1,11 +1,28 @@
-"""A quantity is read out of an estimator's outputs by its name, with its interval."""
+"""Quantities are read by name, with their interval; what holds for every estimator of a car, out of range too."""
+
+import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
+from steerkit.diagram.block import Block
+from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import Estimated, estimated
-from steerkit.estimators.steering_hysteresis import SteeringFriction
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import WheelDelay, YawDelay
+from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
+from tests.support.steered_car import PASSAT, answered, driven_fast, gaps, quantities, steered
+
+ALL: dict[str, Any] = {
+    "wheel": WheelDelay(longest=0.3),
+    "yaw": YawDelay(vehicle=PASSAT, longest=0.3),
+    "filter": SingleTrackFilter(vehicle=PASSAT),
+    "friction": SteeringFriction(longest=0.2),
+    "play": SteeringPlay(vehicle=PASSAT, longest=0.2),
+}
 
 Y = SteeringFriction.Y(friction=15.0, friction_deviation=0.5, friction_valid=1.0, missing=0.0)
 
@@ -20,3 +37,78 @@ def test_the_interval_holds_95_percent() -> None:
     got = Estimated(np.array([1.0, 2.0]), np.array([0.1, 0.2]), np.ones(2))
     share = norm.cdf(got.high, got.value, got.deviation) - norm.cdf(got.low, got.value, got.deviation)
     np.testing.assert_allclose(share, 0.95, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", sorted(ALL.keys() - {"yaw"}))  # whose deviation depends on the speed
+def test_at_a_standstill_nothing_is_learned_or_forgotten(name: str) -> None:
+    block: Block = ALL[name]
+    signals = answered(steered(20.0), delay=0.1, lag=0.2)
+    x = driven_fast(block, signals | {"angle": signals["delta_sw_cmd"]})
+    stands = {port.name: np.zeros(2000) for port in block.inputs} | {"active": np.ones(2000)}
+    stands |= {"delay": np.full(2000, 0.1), "lag": np.full(2000, 0.2), "psi": np.full(2000, math.nan)}
+    stands["r"] = np.full(2000, math.nan if name == "filter" else 0.0)  # a gyro at rest is its zero
+    before = block.output(0.0, x, ())
+    after = block.output(0.0, driven_fast(block, stands, x), ())
+    for quantity in quantities(block):
+        assert estimated(after, quantity) == estimated(before, quantity)
+
+
+@pytest.mark.parametrize("what", ["override", "nan"])
+@pytest.mark.parametrize(
+    ("block", "quantity", "truth", "near"),
+    [
+        (WheelDelay(), "delay_lag", 0.4, 0.006),
+        (SteeringFriction(), "friction", radians_of(0.5), radians_of(0.05)),
+        (SingleTrackFilter(vehicle=PASSAT), "ratio", 1.2, 0.025),
+    ],
+)
+def test_what_others_do_to_the_wheel_and_lost_samples_are_not_used(
+    block: Block, quantity: str, truth: float, near: float, what: str
+) -> None:
+    """Whoever overrides turns the wheel as he likes, here exactly against the command."""
+    friction, ratio = (truth if quantity == name else other for name, other in (("friction", 0.0), ("ratio", 1.0)))
+    car = replace(PASSAT, steer_ratio=ratio * PASSAT.steer_ratio)
+    signals = answered(steered(120.0), delay=0.2, lag=0.2, friction=friction, car=car)
+    signals["angle"] = signals["delta_sw_cmd"]
+    mask = gaps(len(signals["v"]))
+    lost, instead = ("v", "r"), np.full(len(mask), np.nan)
+    if what == "override":
+        signals["active"], lost, instead = np.where(mask, 0.0, 1.0), (), -signals["delta_sw_cmd"]
+    for name in ("delta_sw", "delta_sw_meas", *lost):
+        signals[name] = np.where(mask, instead, signals[name])
+    found = estimated(block.output(0.0, driven_fast(block, signals), ()), quantity)
+    assert found.valid == 1.0
+    assert found.value == pytest.approx(truth, abs=near)
+
+
+@pytest.mark.parametrize(
+    ("name", "port"), [(name, port.name) for name in sorted(ALL) for port in ALL[name].inputs if port.name != "psi"]
+)
+def test_a_sample_that_cannot_be_read_is_reported(name: str, port: str) -> None:
+    block: Block = ALL[name]
+    u = {one.name: 8.0 if one.name == "v" else 0.1 for one in block.inputs}
+
+    def missing(value: float) -> Any:
+        after = block.update(0.0, block.init(), block.U(**u | {port: value}), None)
+        return block.output(0.0, after, ()).missing
+
+    assert [missing(u[port]), missing(math.nan), missing(-math.inf)] == [0.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong", "message"),
+    [
+        (WheelDelay, dict(longest=0.52), r"WheelDelay: longest = 0.52 \[s\], expected a multiple of dt"),
+        (WheelDelay, dict(longest=6.0), r"longest = 6.0 \[s\], expected 2 to 100 samples of 0.05 s"),
+        (WheelDelay, dict(prior_delay=0.9), r"prior_delay = 0.9 \[s\], expected 0 to 0.75"),
+        (YawDelay, dict(vehicle="vw-passat"), "YawDelay: .*expected a Vehicle"),
+        (YawDelay, dict(vehicle=PASSAT, yaw_unknown=2.0), r"yaw_unknown = 2.0 \[1\], expected 0 to 1"),
+        (SteeringFriction, dict(prior=0.1), r"SteeringFriction: prior = 0.1 \[rad\], expected 0 to 0.0279253"),
+        (SingleTrackFilter, dict(vehicle="vw-passat"), "expected a Vehicle"),
+        (SingleTrackFilter, dict(vehicle=PASSAT, longest=0.52), r"longest = 0.52 \[s\], expected a multiple of dt"),
+        (SingleTrackFilter, dict(vehicle=PASSAT, ratio_prior=2.0), r"ratio_prior = 2.0 \[1\], expected 0.0001 to 0.5"),
+    ],
+)
+def test_parameters_out_of_range(kind: type[Block], wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        kind(**wrong)

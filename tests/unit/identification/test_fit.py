@@ -1,5 +1,6 @@
 """The fit gives the car back, its intervals cover the truth; what was identified predicts other drives, and is kept."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,15 +9,36 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit import simulate
 from steerkit.controllers.stanley import Stanley
-from steerkit.identification import Drive, identify
+from steerkit.diagram.loop import Loop
+from steerkit.identification import Drive, identify, read_drive, shipped_drives
 from steerkit.identification.fit import Identified, Simulator, _Problem, predict, priors, stiffnesses
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import steering_of
 from steerkit.scenario import Scenario
 from steerkit.vehicles import vehicle
+from tests.support.compilers import optimised
 from tests.support.recorded_cars import BASE, DT, TRUTH, by_rate, driven, noisy
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_code() -> Iterator[None]:
+    """A fit drives for hours."""
+    with optimised():
+        yield
+
+
+@pytest.fixture(scope="module")
+def clean() -> dict[str, Any]:
+    return driven()
+
+
+@pytest.fixture(scope="module")
+def found(clean: dict[str, Any]) -> Identified:
+    return identify(Drive.of(noisy(clean, 0), name="lap"), BASE, name="my-car")
 
 
 def test_a_clean_log_gives_the_car_back(clean: dict[str, Any]) -> None:
@@ -149,3 +171,31 @@ def test_the_vehicle_file_comes_back_and_drives(found: Identified, tmp_path: Pat
 def test_stiffnesses_and_gradient_are_the_vehicles_own() -> None:
     c_f, c_r = stiffnesses(BASE, 0.007, 0.004)
     assert replace(BASE, c_f=c_f, c_r=c_r).understeer_gradient == pytest.approx(0.003, rel=1e-12)
+
+
+def test_the_shipped_drives_have_the_figures_of_the_docs() -> None:
+    """Fitted on one real lap, the other predicted; see docs/identification.md."""
+    fit, other = (read_drive(name) for name in shipped_drives())
+    assert fit.notes[1].startswith("yaw rate: -0.00519 rad/s")
+    answer = identify(fit, BASE)
+    seen = answer.predict(other)
+    assert answer.fit.rms == pytest.approx(0.0034, abs=2e-4)
+    assert seen.rms == pytest.approx(0.0053, abs=4e-4)
+    assert seen.rms_rezeroed < 0.005
+    assert answer["ratio_wheelbase"].value == pytest.approx(43.2, abs=1.0)
+
+
+def test_the_identified_loop_drives_as_the_car_that_was_recorded(found: Identified, tmp_path: Path) -> None:
+    """File to blocks to simulation, in another loop than the one that was fitted, at another step."""
+    found.save(tmp_path / "car.toml")
+    truth = driven(seconds=40.0)
+    play = Playback(angles=tuple(truth["delta_sw"].tolist()), speeds=tuple(truth["v"].tolist()), dt=DT)
+    motor = steering_of(tmp_path / "car.toml", dt=DT, limit=30.0, rate_limit=200.0)
+    plant = LinearSingleTrack(vehicle=vehicle(str(tmp_path / "car.toml")), v0=truth["v"][0], dt=DT, substeps=2)
+    loop = Loop(
+        blocks={"drive": play, "actuator": motor, "car": plant},
+        wires=[(play.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, plant.delta_sw_cmd), (play.v, plant.v_cmd)],
+    )
+    rate = simulate(loop, 40.0)["car.r"]
+    error = (rate - truth["r"])[100:]
+    assert np.sqrt(np.mean(error**2)) < 0.003
