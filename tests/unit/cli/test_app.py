@@ -15,12 +15,16 @@ from rich import markup
 import steerkit
 from steerkit.cli import app as command_line
 from steerkit.cli import demo
+from steerkit.diagram.loop import Loop
+from steerkit.diagram.simulation import simulate
 from steerkit.learning.experiment import Experiment
 from steerkit.scenario import Scenario
 from tests.support.command_lines import parsed, run
+from tests.support.parts import Count
 from tests.support.short_run import FAST
 
 CAR = ("--car", "dbw-kit.toml")
+TWO = ("--controller", "mpc", "--controller", "lqr")
 
 
 @pytest.mark.parametrize(
@@ -52,6 +56,22 @@ CAR = ("--car", "dbw-kit.toml")
         (("drive", "stanley", *CAR, "--time-scale", "2"), "a real car has real time; use --simulated"),
         (("drive", "stanley", *CAR, "--simulated", "--channel", "/dev/x"), "leave --channel out"),
         (("drive", "stanley", *CAR, "--recording", "there.mcap"), "recordings are not overwritten"),
+        (("log", "none.csv"), "cannot be read"),
+        (("log", "a.csv", "--plot", "a.txt"), "a picture ends in"),
+        (("log", "a.csv", "--csv", "a.txt"), "a table ends in .csv"),
+        (("log", "a.csv", "--csv", "b.csv", "-q"), "there is no drive in it: "),
+        (("plot", "drive.npz", "path.e"), "no signal 'path.e' in the log; recorded: car.n"),
+        (("plot", "drive.npz", "--out", "a.gif"), "--out a.gif: expected a name that ends in .png, .pdf, .svg"),
+        (("plot", "drive.npz", "--table", "a.xlsx"), "--table a.xlsx: expected a name that ends in .csv or .parquet"),
+        (("identify", "no.csv"), "cannot be read"),
+        (("identify", "genesis", "--out", "car.json"), "ends in .toml"),
+        (("identify", "genesis", "--base", "pasat"), "did you mean 'vw-passat'"),
+        (("identify", "genesis", "--fix", "lag"), "expected NAME=VALUE"),
+        (("identify", "genesis", "--column", "v=speed"), "column for v 'speed' is not known"),
+        (("resimulate", "genesis", *TWO, "--plot", "a.png"), "--plot a.png: shows one controller, not mpc, lqr"),
+        (("resimulate", "genesis", *TWO, "--film", "a.gif"), "--film a.gif: shows one controller, not mpc, lqr"),
+        (("resimulate", "no-such-file.csv", "--film", "a.avi"), "a film ends in .gif or .mp4"),
+        (("resimulate", "genesis", "--film", "b.gif", "--film-lasts", "0"), "--film-lasts: 0 [s], expected 1 to 120"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(
@@ -59,9 +79,12 @@ def test_mistakes_are_one_line_and_exit_code_2(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.mcap").touch()
+    (tmp_path / "a.csv").write_text("t,v\n" + "".join(f"{k},1\n" for k in range(50)))
+    simulate(Loop(blocks={"car": Count()}, wires=[]), 1.0).save(tmp_path / "drive.npz")
     error = cli(*words, code=2).err.strip()
     assert says in error
     assert len(error.splitlines()) == 1
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "drive.npz", "there.mcap"]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from typing import Any
 
 import gymnasium
-import numpy as np
 import pytest
 
 import steerkit.gym  # noqa: F401
@@ -30,17 +29,6 @@ def test_an_episode_that_fails_in_its_last_sample_has_failed_and_no_more() -> No
     assert last_flags(0.05 * (steps + 1)) == (steps, True, False)
     assert last_flags(0.05 * steps) == (steps, True, False)  # time is over in the sample in which it fails
     assert last_flags(0.05 * (steps - 1)) == (steps - 1, False, True)
-
-
-@pytest.mark.parametrize("short", [0, 1])
-def test_the_same_of_many_cars(short: int) -> None:
-    steps, *_ = last_flags(60.0)
-    env = gymnasium.make_vec(ID, 2, backend="python", duration=0.05 * (steps - short), **STRAIGHT)
-    env.reset(seed=[0, 0])
-    for _ in range(steps - short):
-        _, _, terminated, truncated, _ = env.step(np.full(2, LEFT))
-    assert terminated.tolist() == [not short] * 2
-    assert truncated.tolist() == [bool(short)] * 2
 
 
 def test_a_new_episode_has_a_clock_of_its_own() -> None:

@@ -56,18 +56,6 @@ def test_what_is_taken_does_not_tell_whether_the_next_sample_explores() -> None:
     np.testing.assert_allclose(rates, 0.5 * 7 / 8, atol=0.03)
 
 
-def test_it_is_repeatable_and_another_seed_explores_elsewhere() -> None:
-    one, same, other = (decisions(Exploring(block=POLICY, share=0.3, seed=seed), 20) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, same)
-    assert (one != other).any()
-
-
 def test_a_fault_stays_a_fault() -> None:
     actions = decisions(Exploring(block=POLICY, share=1.0), 3, v=np.full(500, np.nan))
     assert np.isnan(actions).all()
-
-
-def test_mistakes_are_named() -> None:
-    with pytest.raises(ValueError, match=r"share = 1.5 \[1\], expected 0 to 1"):
-        Exploring(block=POLICY, share=1.5)
-    assert Exploring(block=replace(POLICY, dt=0.1)).dt == 0.1

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.diagram.units import radians_of
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.plants.sensors import DegradedSensors, Sensors
 from steerkit.plants.steering_actuator import SteeringColumn, SteeringLink, TorqueSteering
@@ -108,23 +108,6 @@ def test_sensors_report_their_zeros() -> None:
     loop = assembled(off, controller("mpc", off), seed=3)
     assert loop.inputs_of("controller")["delta_sw_meas"] == "column.delta_sw_meas"
     assert loop.inputs_of("car")["delta_sw_cmd"] == "column.delta_sw"
-
-
-def test_a_worn_car_is_driven_worse_but_driven() -> None:
-    """And the loop is in the way that it is wired: the road wheels are within play and friction of the motor."""
-    worn = Scenario.under(
-        "real",
-        steering={"play_deg": 2.0, "friction_deg": 1.0, "dead_band_deg": 0.5, "quantum_deg": 0.1, "delay_jitter": 0.03},
-        course={"rounds": 0.2},
-    )
-    log = drive(worn, controller("stanley", worn), seed=1)
-    gap = degrees_of(abs(log["car.delta_sw"][1:] - log["actuator.delta_sw"][:-1]))
-    assert abs(log["column.delta_sw"] - log["actuator.delta_sw"]).max() == pytest.approx(radians_of(2.0), rel=0.05)
-    assert len(gap) > 100
-    clean = drive(Scenario(course={"rounds": 0.2}), controller("stanley", Scenario()), seed=1)
-    rms, best = (float(np.sqrt(np.mean(e["path.e"] ** 2))) for e in (log, clean))
-    assert best < rms < 0.2
-    assert float(abs(log["path.e"]).max()) < 0.5
 
 
 def test_controllers_believe_the_data_sheet_or_know_the_truth() -> None:

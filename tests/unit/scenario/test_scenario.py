@@ -1,7 +1,6 @@
 """Scenarios: what makes one, what is refused, what controllers are told, and files that they keep."""
 
 import math
-import os
 import pickle
 from dataclasses import replace
 from pathlib import Path as FilePath
@@ -32,16 +31,13 @@ HEAD = f'format = "{FORMAT}"\n'
     [
         ({"course": {"name": 7}}, "course: name = 7, expected text"),
         ({"course": {"closed": "yes"}}, "course: closed = 'yes', expected true or false, or nothing"),
-        ({"vehicle": {"name": ["vw-passat"]}}, r"vehicle: name = \['vw-passat'\], expected text"),
         ({"knowledge": {"oracle": 1}}, "knowledge: oracle = 1, expected true or false"),
         ({"course": "papr"}, r"scenario 'x': course 'papr' is not known \(did you mean 'paper'\?\).*FILE.csv"),
-        ({"course": "swooping-7"}, "random-7, sweeping-7, FILE"),
         ({"course": "no.csv"}, "course no.csv cannot be read"),
         ({"course": {"closed": True}}, "course: closed = True is only for a course from a file"),
         ({"course": {"start": 900.0}}, r"course: start = 900.0 \[m\].*the course's length"),
         ({"course": {"nam": "paper"}}, "course: no field 'nam'; valid: name, closed, start, rounds"),
         ({"vehicle": "vw-pasat"}, "did you mean 'vw-passat'"),
-        ({"vehicle": "no.toml"}, "vehicle no.toml cannot be read"),
         ({"vehicle": {"plant": "bicycle"}}, "'bicycle' is not known; valid: nonlinear, linear, package.module:Class"),
         ({"vehicle": {"plant": "steerkit.plants.single_track:Cat"}}, "steerkit.plants.single_track has no 'Cat'"),
         ({"vehicle": {"plant": "steerkit.doe:Integrator"}}, "expected a subclass of Car"),
@@ -59,15 +55,10 @@ HEAD = f'format = "{FORMAT}"\n'
         ({"steering": {"command": "hands"}}, "steering: command 'hands'; valid: angle, torque"),
         ({"steering": {"lag": -1.0}}, r"steering: lag = -1.0 \[s\], expected 0 to 10"),
         ({"steering": {"lag": "much"}}, r"lag = 'much', expected a number \[s\]"),
-        ({"steering": {"lag": None}}, r"lag = None, expected a number \[s\]"),
         ({"steering": {"delay": 0.123}}, "delay = 0.123.*valid: 0.12 or 0.13"),
-        ({"sensors": {"kind": "perfect"}}, "sensors: kind 'perfect'; valid: hard, no sideslip, real"),
-        ({"sensors": {"estimator": "kalman"}}, "estimator 'kalman'; valid: none, vehicle-state, adaptive-state"),
         ({"sensors": {"latency": 0.02}}, "latency = 0.02"),
         ({"sensors": {"noise": True}}, r"noise = True, expected a number \[1\]"),
-        ({"sensors": {"gyro_zero_deg": 6.0}}, r"gyro_zero_deg = 6.0 \[deg/s\]"),
         ({"steering": {"delay": 1.5}, "sensors": {"latency": 1.0}}, "add up to 2.5"),
-        ({"knowledge": {"delay": 3.0}}, r"knowledge: delay = 3.0 \[s\], expected 0 to 2"),
         ({"reference": "rear"}, "reference 'rear'; valid: front, cg, own"),
         ({"recovery": "lqr"}, "recovery 'lqr'; valid: auto, adaptive, stanley, stanley-delay"),
         ({"name": "a--b"}, "holds '--'"),
@@ -229,16 +220,6 @@ def test_a_change_leaves_the_other_fields_of_its_part_and_another_file_is_read(t
         replace(scenario, name="x")
     )
     assert scenario.with_(course=Course(name="circle")).course.start == 0.0
-
-
-def test_a_broken_file_is_named(tmp_path: FilePath) -> None:
-    (tmp_path / "bad.csv").write_text("a,b\n1,2\n3,4\n")
-    with pytest.raises(ValueError, match=r"bad.csv: columns a, b; valid: x, y"):
-        Scenario(course=str(tmp_path / "bad.csv"))
-    (tmp_path / "bad.toml").write_text("nonsense")
-    with pytest.raises(ValueError, match=r"bad.toml: not TOML"):
-        Scenario(vehicle=str(tmp_path / "bad.toml"))
-    assert os.listdir(tmp_path)
 
 
 def test_a_scenario_comes_back_with_its_files(tmp_path: FilePath, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,21 +71,6 @@ def test_one_step_targets_by_hand() -> None:
     assert y == pytest.approx([0.01 + 0.9 * 0.4, 0.9 * 0.4, 1.0], abs=1e-6)
 
 
-def test_three_step_targets_by_hand() -> None:
-    """Two episodes of 4 and 2 rows, the second one failing."""
-    record = chain([0.0, 0.1, 0.1, 0.1, 0.1, 0.2, 0.7], [0, 0, 0, 0, 1, 1])
-    g, q, c = 0.9, 0.4, 0.01
-    y = targets(problem(discount=g, n_step=3), record, [level(q)])
-    three = c + g * c + g**2 * c + g**3 * q
-    expected = [three, three, c + g * c + g**2 * q, c + g * q, c + g * 1.0, 1.0]
-    assert y == pytest.approx(expected, abs=1e-6)
-
-
-def test_nothing_is_carried_over_a_terminal_row_even_within_an_episode_number() -> None:
-    record = chain([0.0, 0.7, 0.1, 0.1], [0, 0, 0])
-    assert targets(problem(n_step=5), record, [level(0.4)])[0] == 1.0
-
-
 @given(n=st.integers(1, 6), discount=st.floats(0.0, 0.99))
 def test_n_step_targets_equal_the_sum_written_out_within_zero_and_one(n: int, discount: float) -> None:
     record, cost = recorded(60, seed=1), BandCost(trip=0.35, step=0.2)
