@@ -4,7 +4,6 @@ import errno
 import os
 import subprocess
 import sys
-import threading
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -99,30 +98,6 @@ def test_the_disk_has_it_before_the_old_one_goes_unless_the_thread_may_not_wait(
     write_npz(tmp_path / "a", {"x": 1.0}, durable=False)
     write_arrays(tmp_path / "a", "thing", {"x": 1.0}, durable=False)
     assert calls == ["replace", "replace"]
-
-
-def test_two_threads_that_write_one_file_leave_one_of_the_two(tmp_path: Path) -> None:
-    together = threading.Barrier(2)
-    files_written = [tmp_path / f"{n}.npz" for n in range(40)]  # each is new to both: neither may take it for a folder
-    wrong: list[Exception] = []
-
-    def write(number: int) -> None:
-        try:
-            for file in files_written:
-                together.wait(30.0)
-                write_npz(file, {"x": np.full(2000, number)}, durable=False)
-        except Exception as error:
-            wrong.append(error)
-            together.abort()
-
-    threads = [threading.Thread(target=write, args=(number,)) for number in (1, 2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not wrong, wrong
-    assert all(set(read_npz(file, "test")["x"]) in ({1}, {2}) for file in files_written)
-    assert names(tmp_path) == sorted(file.name for file in files_written)
 
 
 def test_a_file_that_another_thread_makes_just_then_is_no_folder(

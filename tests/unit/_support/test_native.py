@@ -1,7 +1,6 @@
 """C source to a library: which compiler, which cache, and what a library in it is known by."""
 
 import ctypes
-import os
 import re
 import stat
 from collections.abc import Iterator
@@ -100,15 +99,6 @@ def test_what_the_compiler_refuses_is_told_and_leaves_nothing(cache: Path) -> No
     with pytest.raises(native.NoCompilerError, match="refused the generated code"):
         native.load("this is no C;")
     assert list(cache.iterdir()) == []
-
-
-@needs_compiler
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_cache_that_cannot_be_written_is_replaced_by_a_private_folder(tmp_path: Path) -> None:
-    (tmp_path / "steerkit").mkdir(mode=0o500)
-    folder = native.directory()
-    assert tmp_path not in folder.parents
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
 @needs_compiler

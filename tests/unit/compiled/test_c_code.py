@@ -18,8 +18,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, Out, State
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Table
-from steerkit.diagram.simulation import simulate
-from tests.support.traced_blocks import mixed_loop, oscillating_loop, worst
+from tests.support.traced_blocks import mixed_loop, oscillating_loop
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="needs a C compiler")
 
@@ -61,18 +60,6 @@ def test_infinite_parameters_keep_their_sign(floor: float) -> None:
     start = loop.with_block_state(loop.init(), "asks", (-5.0,))
     log = compile(loop, backend="c").run(0.3, state=start, allow_nonfinite=True)
     np.testing.assert_array_equal(log["asks.count"], np.maximum(np.arange(-5.0, 1.0), floor))
-
-
-@pytest.mark.parametrize("every", [2, 3])
-def test_many_cars_go_on_from_any_tick_with_any_decimation(every: int) -> None:
-    loop = mixed_loop(0.025)
-    record = ["mixed.y", "decay.x"]
-    program = compile(loop, backend="c", every=every, record=record)
-    first, reference = program.run(0.325, batch=5), simulate(loop, 0.325, batch=5, every=every, record=record)
-    assert worst(first, reference) <= 1e-13
-    assert first.state.k % every
-    second = program.run(0.7, state=first.state)
-    assert worst(second, simulate(loop, 0.7, state=reference.state, every=every, record=record)) <= 1e-13
 
 
 def test_cars_with_several_held_values_each_keep_their_own() -> None:

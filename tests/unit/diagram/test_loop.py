@@ -164,15 +164,6 @@ def test_stepping_by_hand_is_simulating() -> None:
     assert state == log.state
 
 
-def test_a_state_can_be_stepped_twice() -> None:
-    loop = chain()
-    state = simulate(loop, 1.0).state
-    assert state is not None
-    once, twice = loop.step(state), loop.step(state)
-    assert once[0] == twice[0]
-    assert dict(once[1]) == dict(twice[1])
-
-
 def test_blocks_settle_on_their_first_inputs() -> None:
     @dataclass(frozen=True, eq=False, kw_only=True)
     class Settler(Delay):

@@ -36,17 +36,6 @@ def test_the_signals_are_those_of_the_equations() -> None:
     np.testing.assert_array_equal(log["pair.both"], np.column_stack((log["gain.y"], 2.0 * log["gain.y"])))
 
 
-def test_a_batch_is_its_cars_one_by_one() -> None:
-    rates, gains = np.array([0.3, 0.7, 2.0]), np.array([1.0, -1.0, 0.5])
-    together = simulate(loop_of(rates, gains), 2.0, batch=3)
-    assert together["wave.v"].shape == (40, 3)
-    assert together["pair.both"].shape == (40, 2, 3)
-    for car in range(3):
-        alone = simulate(loop_of(float(rates[car]), float(gains[car])), 2.0)
-        for name in alone:
-            np.testing.assert_allclose(together[name][..., car], alone[name], rtol=0, atol=1e-13)
-
-
 def test_a_run_goes_on_from_its_state() -> None:
     whole, first = simulate(LOOP, 3.0), simulate(LOOP, 1.05)
     both = joined([first, simulate(LOOP, 1.95, state=first.state)])
@@ -164,15 +153,6 @@ def test_an_exception_says_when_and_where() -> None:
     with pytest.raises(RuntimeError, match="the sensor fell off") as caught:
         simulate(breaking(how="raise"), 1.0)
     assert caught.value.__notes__[:1] == ["in tick 10, t = 0.5 s, of Loop(total, breaks, count; 2 wires; dt = 0.05 s)"]
-
-
-def test_a_vector_that_becomes_nan_is_found() -> None:
-    breaks, pair, count = Breaks(), Pair(), Count()
-    loop = Loop(
-        blocks={"breaks": breaks, "pair": pair, "count": count}, wires=[(count.n, breaks.u), (breaks.y, pair.u)]
-    )
-    with pytest.raises(NonFiniteError, match=r"pair.both \[m\] is nan for 2 of 2 \(0, 1\) at t = 0.5 s"):
-        simulate(loop, 1.0, record=["pair.both"])
 
 
 def test_of_many_cars_the_first_that_became_nan_are_named_and_how_many_did() -> None:

@@ -9,10 +9,9 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
-from scipy.special import fresnel
 
 from steerkit.paths.importers import Line, contents, read_course
-from steerkit.paths.importers.opendrive import Shape, param_poly3, poly3, read, spiral
+from steerkit.paths.importers.opendrive import param_poly3, poly3, read, spiral
 from tests.support import road_files
 
 STRAIGHT = '<geometry s="0" x="0" y="0" hdg="0" length="100"><line/></geometry>'
@@ -171,14 +170,6 @@ def test_lanes_that_cannot_be_driven_are_no_choice(tmp_path: FilePath) -> None:
 EXACT = 1e-9
 
 
-def test_a_straight_in_the_maps_frame() -> None:
-    line = Shape(s=7.0, x0=3.0, y0=-2.0, psi0=0.5, length=40.0, local=partial(spiral, 40.0, 0.0, 0.0))
-    x, y, psi = line.at(np.array([0.0, 40.0]))
-    assert np.allclose(x, [3.0, 3.0 + 40.0 * math.cos(0.5)], atol=EXACT, rtol=0.0)
-    assert np.allclose(y, [-2.0, -2.0 + 40.0 * math.sin(0.5)], atol=EXACT, rtol=0.0)
-    assert np.allclose(psi, 0.5)
-
-
 @pytest.mark.parametrize("k", [0.1, -0.02, 1e-7, 0.0])
 def test_an_arc_is_a_part_of_a_circle(k: float) -> None:
     d = np.linspace(0.0, 90.0, 37)
@@ -190,17 +181,7 @@ def test_an_arc_is_a_part_of_a_circle(k: float) -> None:
     assert np.abs(v - exact_v).max() < EXACT
 
 
-@pytest.mark.parametrize(("k1", "length"), [(0.2, 100.0), (-0.05, 300.0), (1.0, 20.0)])
-def test_a_spiral_from_a_straight_is_fresnels_integral(k1: float, length: float) -> None:
-    d = np.linspace(0.0, length, 41)
-    u, v, _ = spiral(length, 0.0, k1, d)
-    scale = math.sqrt(math.pi * length / abs(k1))
-    s, c = fresnel(d / scale)
-    assert np.abs(u - scale * c).max() < EXACT
-    assert np.abs(v - math.copysign(1.0, k1) * scale * s).max() < EXACT
-
-
-@pytest.mark.parametrize(("k0", "k1"), [(0.1, -0.1), (0.05, 0.05 + 1e-9), (-0.02, 0.3), (1e-9, -1e-9)])
+@pytest.mark.parametrize(("k0", "k1"), [(0.0, 0.2), (0.1, -0.1), (0.05, 0.05 + 1e-9), (-0.02, 0.3), (1e-9, -1e-9)])
 def test_a_spiral_between_any_curvatures(k0: float, k1: float) -> None:
     """Also where curvature hardly changes, and Fresnel integrals would lose all digits."""
     length = 80.0
@@ -209,17 +190,6 @@ def test_a_spiral_between_any_curvatures(k0: float, k1: float) -> None:
         integral = mpmath.quad(lambda t: mpmath.expj(k0 * t + (k1 - k0) * t * t / (2 * length)), [0, 20, 40, 60, 80])
     assert abs(u[0] - float(integral.real)) < EXACT
     assert abs(v[0] - float(integral.imag)) < EXACT
-
-
-@pytest.mark.parametrize("c", [0.01, -0.002])
-def test_a_parabola_at_its_arc_length(c: float) -> None:
-    end = 30.0
-    z = 2.0 * c * end
-    length = (z * math.hypot(1.0, z) + math.asinh(z)) / (4.0 * c)
-    u, v, heading = poly3(length, np.array([0.0, 0.0, c, 0.0]), np.array([0.0, length]))
-    assert np.allclose(u, [0.0, end], atol=EXACT, rtol=0.0)
-    assert np.allclose(v, [0.0, c * end**2], atol=EXACT, rtol=0.0)
-    assert heading[1] == pytest.approx(math.atan(z), abs=1e-12)
 
 
 def test_a_cubics_distance_is_its_arc_length() -> None:
