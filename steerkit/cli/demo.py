@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path as FilePath
 from typing import Annotated
@@ -24,16 +24,6 @@ from steerkit.plots import drive as figures
 from steerkit.plots.style import save
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
-
-
-@dataclass(frozen=True)
-class Part:
-    """One learning run of the demonstration and the drives that its final policy and Stanley make."""
-
-    name: str
-    learned: Log
-    stanley: Log
-
 
 EXPERIMENTS = {
     "I-DOE, 800 m course": Experiment(setting=DEFAULT, minutes=11.0),
@@ -63,16 +53,16 @@ def demo(
     began = None if quiet else time.time()
     jobs = [(name, experiment, out / _slug(name), seed, began) for name, experiment in EXPERIMENTS.items()]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        parts = list(pool.map(_part, jobs))
+        drives = dict(zip(EXPERIMENTS, pool.map(_part, jobs)))
     show_several([out / _slug(name) for name in EXPERIMENTS])
-    for part in parts:
-        console.print(evaluate.comparison(part.name, {"learned": part.learned, "Stanley": part.stanley}))
-    idoe, bang, _ = parts
-    place = out / _slug(idoe.name)
+    for name, logs in drives.items():
+        console.print(evaluate.comparison(name, logs))
+    idoe, bang, _ = drives
+    place = out / _slug(idoe)
     log, counts = rundir.drive_log(place), rundir.document(place)["counts"]
     pictures = {
-        "figure-3-bang-bang.png": figures.trace(bang.learned, title="Bang-bang actions, final net"),
-        "figure-4-i-doe.png": figures.trace(idoe.learned, title="Integrating DOE, final net"),
+        "figure-3-bang-bang.png": figures.trace(drives[bang]["learned"], title="Bang-bang actions, final net"),
+        "figure-4-i-doe.png": figures.trace(drives[idoe]["learned"], title="Integrating DOE, final net"),
         "figure-5-learning.png": figures.learning(
             log, title="Learning from the first second, recovery shaded", seconds=350.0
         ),
@@ -80,16 +70,17 @@ def demo(
             log, began=counts["first_round_begun"], done=counts["first_round_done"], title="First complete round"
         ),
     }
-    for part in parts:
-        title = f"{part.name}: final net and Stanley"
-        pictures[f"round-{_slug(part.name)}.png"] = figures.round_driven(part.learned, part.stanley, title=title)
+    for name, logs in drives.items():
+        title = f"{name}: final net and Stanley"
+        pictures[f"round-{_slug(name)}.png"] = figures.round_driven(*logs.values(), title=title)
     for name, figure in pictures.items():
         save(figure, out / name)
     if not quiet:
         console.print(f"pictures: {', '.join(pictures)} in {out}", soft_wrap=True)
 
 
-def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> Part:
+def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> dict[str, Log]:
+    """Learn, as far as that is not done; the drives that the final policy and Stanley make."""
     name, experiment, place, seed, began = job
 
     def say(line: str) -> None:
@@ -106,7 +97,7 @@ def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> Part:
     doe = experiment.setting.element(scenario.nominal)
     learned = evaluate.drive(scenario, rundir.final_policy(place), doe=doe, seed=seed)
     stanley = evaluate.drive(scenario, scenario.recovery_controller(), seed=seed)
-    return Part(name, *(Log(g.t, g.signals, g.units) for g in (learned, stanley)))
+    return {who: Log(g.t, g.signals, g.units) for who, g in (("learned", learned), ("Stanley", stanley))}
 
 
 def _slug(name: str) -> str:

@@ -42,14 +42,7 @@ def interval(values: ArrayLike, statistic: Callable[..., Any] = np.mean, *, seed
         value = float(statistic(sample))
         if len(sample) == 1 or (sample == sample[0]).all():
             return Interval(value, value, value, len(sample))
-        resampled = bootstrap(
-            (sample,),
-            statistic,
-            n_resamples=RESAMPLES,
-            method="percentile",
-            vectorized=True,
-            random_state=np.random.default_rng(seed),
-        )
+        resampled = bootstrap((sample,), statistic, method="percentile", **_resampling(seed))
     tail = 0.5 * (1.0 - CONFIDENCE)
     # from the distribution itself: between a number and "never" nothing can be interpolated
     low, high = np.quantile(resampled.bootstrap_distribution, [tail, 1.0 - tail], method="inverted_cdf")
@@ -100,20 +93,17 @@ def paired(a: ArrayLike, b: ArrayLike, *, seed: int = 0) -> Paired:
     gap = first - second
     if not gap.any():
         return Paired(difference=interval(gap, seed=seed), wins=0.5, p=1.0, p_wilcoxon=1.0)
-    test = permutation_test(
-        (gap,),
-        np.mean,
-        permutation_type="samples",
-        vectorized=True,
-        n_resamples=RESAMPLES,
-        random_state=np.random.default_rng(seed),
-    )
+    test = permutation_test((gap,), np.mean, permutation_type="samples", **_resampling(seed))
     return Paired(
         difference=interval(gap, seed=seed),
         wins=float(np.mean((gap < 0.0) + 0.5 * (gap == 0.0))),
         p=float(test.pvalue),
         p_wilcoxon=float(wilcoxon(gap, zero_method="zsplit").pvalue),
     )
+
+
+def _resampling(seed: int) -> dict[str, Any]:
+    return {"n_resamples": RESAMPLES, "vectorized": True, "random_state": np.random.default_rng(seed)}
 
 
 def _finite_or_never(where: str, values: ArrayLike) -> Array:
