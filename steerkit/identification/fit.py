@@ -448,17 +448,11 @@ class _Problem:
         factor = float(stdtrit(blocks - 1, 0.975))
         before = np.diag([table[n].deviation ** 2 for n in free])
         c_f, c_r = stiffnesses(base, values["d_f"], values["d_r"])
-        length = base.wheelbase
+        length, ratio = base.wheelbase, values["steer_ratio"]
         understeer, given = values["d_f"] - values["d_r"], f"given L = {length:g} m"
         rows: list[tuple[str, float, str, dict[str, float], str]] = [
-            ("steer_ratio", values["steer_ratio"], "1", {"steer_ratio": 1.0}, given),
-            (
-                "ratio_wheelbase",
-                values["steer_ratio"] * length,
-                "m",
-                {"steer_ratio": length},
-                "what the log determines",
-            ),
+            ("steer_ratio", ratio, "1", {"steer_ratio": 1.0}, given),
+            ("ratio_wheelbase", ratio * length, "m", {"steer_ratio": length}, "what the log determines"),
             ("offset", values["offset"], "rad", {"offset": 1.0}, "at the wheel, of this log"),
             ("delay", values["delay"], "s", {"delay": 1.0}, ""),
             ("lag", values["lag"], "s", {"lag": 1.0}, ""),

@@ -61,22 +61,9 @@ def drawn_number(name: str) -> int | None:
     return int(match[1]) if match else None
 
 
-def _car(row: Mapping[str, str]) -> FleetCar:
-    wheelbase, l_f = float(row["wheelbase_m"]), float(row["l_f_m"])
-    vehicle = Vehicle(
-        name=row["name"].lower().replace("_", "-"),
-        m=float(row["m_kg"]),
-        i_z=float(row["i_z_kgm2"]),
-        l_f=l_f,
-        l_r=wheelbase - l_f,
-        c_f=float(row["c_f_N_per_rad"]),
-        c_r=float(row["c_r_N_per_rad"]),
-        steer_ratio=float(row["steer_ratio"]),
-        mu=MU,
-    )
-    return FleetCar(
-        vehicle=vehicle,
-        steer_delay=float(row["steer_delay_s"]),
-        slowest=float(row["min_steer_speed_mps"]),
-        interface=row["control"],
-    )
+def _car(row: dict[str, str]) -> FleetCar:
+    name, interface = row.pop("name").lower().replace("_", "-"), row.pop("interface")
+    numbers = {key: float(value) for key, value in row.items()}
+    wheelbase, steer_delay, slowest = (numbers.pop(key) for key in ("wheelbase", "steer_delay", "slowest"))
+    vehicle = Vehicle(name=name, l_r=wheelbase - numbers["l_f"], mu=MU, **numbers)
+    return FleetCar(vehicle=vehicle, steer_delay=steer_delay, slowest=slowest, interface=interface)

@@ -47,14 +47,6 @@ def test_steady_curve_of_the_linear_car(car, v):
     assert y.a_y == pytest.approx(v * v * bend, rel=1e-8)
 
 
-@CARS
-def test_steady_curve_of_the_nonlinear_car_is_the_linear_one_for_small_angles(car):
-    delta, v = 1e-5, 8.0
-    plant = NonlinearSingleTrack(vehicle=car)
-    y = out(plant, driven(plant, delta * car.steer_ratio, v, 10.0)[-1])
-    assert y.r == pytest.approx(v * delta / (car.wheelbase + car.understeer_gradient * v * v), rel=2e-4)
-
-
 @pytest.mark.parametrize("cls", PLANTS)
 @pytest.mark.parametrize("delta", [-0.5, 0.1, 0.55])
 def test_kinematic_circle_at_walking_pace(cls, delta):

@@ -323,9 +323,6 @@ def test_time_is_taken_unless_there_is_no_clock() -> None:
 def test_a_wrong_parameter_is_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         MPC.of(CAR, **wrong)
-
-
-def test_a_car_without_equations_is_refused() -> None:
     with pytest.raises(ValueError, match=r"MPC: Vehicle has no right-hand side .* NonlinearSingleTrack\(vehicle=...\)"):
         MPC.of(CAR.vehicle, delay=0.2)
 
