@@ -46,21 +46,9 @@ def plot_diagram(loop: Loop) -> Figure:
 
 
 def _draw_wire(axes: Axes, line: Line, colour: str, order: float) -> None:
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path as Curve
-
-    points: list[tuple[float, float]] = []
-    codes: list[Any] = []
-    for way in line.ways:
-        points.append(way[0])
-        codes.append(Curve.MOVETO)
-        for before, corner, after in zip(way, way[1:], way[2:]):
-            points += [_towards(corner, before), corner, _towards(corner, after)]
-            codes += [Curve.LINETO, Curve.CURVE3, Curve.CURVE3]
-        points.append(way[-1])
-        codes.append(Curve.LINETO)
     for shade, width, above in ((COLOURS["paper"], 4.0, 0.0), (colour, 1.2, 0.005)):
-        axes.add_patch(PathPatch(Curve(points, codes), fc="none", ec=shade, lw=width, zorder=order + above))
+        for way in line.ways:
+            axes.plot(*zip(*way), color=shade, lw=width, zorder=order + above, solid_joinstyle="round")
 
 
 def _draw_box(axes: Axes, box: Box, colour: str, hollow: set[str]) -> None:
@@ -95,14 +83,6 @@ def _draw_box(axes: Axes, box: Box, colour: str, hollow: set[str]) -> None:
         axes.text(
             box.x + box.width - 0.5, box.y + HEAD + 0.5, "logged only", fontsize=7, color=muted, ha="right", **text
         )
-
-
-def _towards(corner: tuple[float, float], other: tuple[float, float], radius: float = 0.28) -> tuple[float, float]:
-    """The point on the way from a corner to its neighbour where the rounding begins."""
-    dx, dy = other[0] - corner[0], other[1] - corner[1]
-    length = abs(dx) + abs(dy)
-    part = min(radius / length, 0.5) if length else 0.0
-    return corner[0] + part * dx, corner[1] + part * dy
 
 
 HEAD = 2.3
