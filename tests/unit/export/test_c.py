@@ -15,7 +15,7 @@ from steerkit.controllers.supervisor import Supervisor
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
-from steerkit.doe import Integrator, LowPass, PlainAngle
+from steerkit.doe import Integrator, LowPass
 from steerkit.export.c import export_c
 from steerkit.paths.courses import circle
 from steerkit.plants.linear_single_track import LinearSingleTrack
@@ -69,7 +69,6 @@ def built(folder: Path, name: str, flags: list[str]) -> subprocess.CompletedProc
         Supervisor(),
         Integrator(),
         LowPass(),
-        PlainAngle(),
         policy(),
         replace(policy(), ready_from=3.0),  # knows the time: ready after 60 of the 200 samples
         SteeringActuator(delay=0.1),

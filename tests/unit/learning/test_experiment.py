@@ -38,12 +38,6 @@ def test_no_transition_is_recorded_under_recovery(kept: Path) -> None:
     assert failures.sum() == tripped
 
 
-def test_the_same_seed_gives_the_same_run_and_another_seed_another() -> None:
-    one, same, other = (learn(replace(SHORT, minutes=0.3, seed=seed)).transitions for seed in (3, 3, 4))
-    np.testing.assert_array_equal(one.s, same.s)
-    assert not np.array_equal(one.a[:20], other.a[:20])
-
-
 def test_a_reset_puts_the_car_back_and_costs_its_time(tmp_path: Path) -> None:
     setting_ = replace(SHORT.setting, after_failure="reset", reset_seconds=20.0)
     failed: list[float] = []

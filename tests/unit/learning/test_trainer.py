@@ -148,19 +148,6 @@ def test_simulated_nets_are_ready_when_the_charged_time_has_passed() -> None:
     assert trainer.poll(41.5) is not None
 
 
-def test_a_simulated_training_goes_on_from_a_checkpoint() -> None:
-    before = SimulatedTrainer(seconds=2.0)
-    before.submit(job(1), 10.0)
-    after = SimulatedTrainer(seconds=2.0, nets=before.learned.nets, pending=before.pending)
-    for trainer in (before, after):
-        trainer.submit(job(2), 11.0)
-        assert trainer.poll(13.9) is None
-    one, other = before.poll(14.0), after.poll(14.0)
-    assert one is not None
-    assert other is not None
-    assert same(one.nets, other.nets or ())
-
-
 def test_simulated_errors_are_raised_where_they_are_made() -> None:
     with pytest.raises(ValueError, match="no transitions, expected at least one"):
         SimulatedTrainer().submit(job(1, transitions=Transitions()), 0.0)
