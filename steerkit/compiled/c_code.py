@@ -9,22 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, Graph
+from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, INFIX, Graph
 from steerkit.compiled.trace import Tick, Trace
 from steerkit.diagram.maths import Table
-
-_INFIX = {
-    "add": "+",
-    "sub": "-",
-    "mul": "*",
-    "div": "/",
-    "lt": "<",
-    "le": "<=",
-    "eq": "==",
-    "ne": "!=",
-    "and": "&",
-    "or": "|",
-}
 
 _SCALAR = """\
 typedef double real;
@@ -302,8 +289,8 @@ def statements(
 
 
 def _expression(op: str, parts: Sequence[str]) -> str:
-    if op in _INFIX:
-        return f"{parts[0]} {_INFIX[op]} {parts[1]}"
+    if op in INFIX:
+        return f"{parts[0]} {INFIX[op]} {parts[1]}"
     if op in FUNCTIONS:
         return f"CALL{len(parts)}({op}, {', '.join(parts)})"
     name = {"select": "SELECT", "abs": "ABS", "not": "NOT"}.get(op)

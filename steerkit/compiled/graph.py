@@ -19,6 +19,19 @@ index, column), call (routine number, how many numbers it gives, its arguments) 
 _COMPARE = frozenset({"lt", "le", "eq", "ne"})
 _LOGIC = frozenset({"and", "or"})
 BOOLEAN = _COMPARE | _LOGIC | {"not"}
+INFIX = {
+    "add": "+",
+    "sub": "-",
+    "mul": "*",
+    "div": "/",
+    "lt": "<",
+    "le": "<=",
+    "eq": "==",
+    "ne": "!=",
+    "and": "&",
+    "or": "|",
+}
+"""How C writes what stands between two operands."""
 FUNCTIONS = frozenset({"sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "floor", "atan2"})
 
 _FOLD: dict[str, Callable[..., Any]] = {

@@ -7,21 +7,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from steerkit.compiled.graph import FUNCTIONS, Graph
+from steerkit.compiled.graph import FUNCTIONS, INFIX, Graph
 from steerkit.compiled.trace import Trace
 
-_INFIX = {
-    "add": "+",
-    "sub": "-",
-    "mul": "*",
-    "div": "/",
-    "lt": "<",
-    "le": "<=",
-    "eq": "==",
-    "ne": "!=",
-    "and": "and",
-    "or": "or",
-}
+_INFIX = INFIX | {"and": "and", "or": "or"}
 _DEEPEST = 12  # nesting of parentheses
 
 
