@@ -68,13 +68,3 @@ def test_at_walking_pace_the_offset_dies_out_as_the_law_says() -> None:
     expected = [linalg.expm(matrix * t)[0, 0] for t in log.t]
     np.testing.assert_allclose(log["e_front"] / 0.05, expected, atol=0.01)
     assert np.exp(-k * v * 1.0) == pytest.approx(expected[100], abs=0.03)
-
-
-def test_left_and_right_are_mirror_images() -> None:
-    path = straight(200.0)
-    one, other = (
-        driven(NonlinearSingleTrack, Stanley.of(PASSAT), path, 7.0, 5.0, s=10.0, e=side * 1.5) for side in (1.0, -1.0)
-    )
-    for name in ("e_front", "car.r", "car.delta_sw"):
-        np.testing.assert_allclose(one[name], -other[name], atol=1e-9)
-    assert abs(one["e_front"][-1]) < 1e-3

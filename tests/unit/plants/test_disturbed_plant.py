@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,14 +29,6 @@ def test_no_push_is_the_car_itself_and_gusts_follow_their_seed() -> None:
         DisturbedPlant(block=inner, gust=-1.0)
 
 
-def at_rest_in_it(car: DisturbedPlant, seconds: float = 4.0) -> Any:
-    """The outputs after some time with the wheel straight."""
-    x = car.init()
-    for k in range(round(seconds / car.dt)):
-        x = car.update(k * car.dt, x, car.U(delta_sw_cmd=0.0, v_cmd=V), ())
-    return car.output(0.0, x, ())
-
-
 @pytest.mark.parametrize("kind", [LinearSingleTrack, NonlinearSingleTrack])
 @pytest.mark.parametrize(
     "push", [{"wind": 0.03}, {"wind": -0.03, "arm": -0.5}, {"bank": 0.03}, {"wind": 0.02, "bank": 0.01}]
@@ -45,7 +36,7 @@ def at_rest_in_it(car: DisturbedPlant, seconds: float = 4.0) -> Any:
 def test_the_steady_drift_is_that_of_forces_and_moments(kind: type[SingleTrack], push: dict[str, float]) -> None:
     """m v r = F_f + F_r + m (wind + bank),  0 = l_f F_f - l_r F_r + m wind arm: the bank has no lever."""
     car = DisturbedPlant(block=kind(vehicle=CAR, v0=V, dt=0.002), dt=0.002, **push)  # little is left of the splitting
-    y = at_rest_in_it(car)
+    y = straight_on(car, 4.0)[1][-1]
     sides = [
         [-(CAR.c_f + CAR.c_r), (CAR.c_r * CAR.l_r - CAR.c_f * CAR.l_f) / V - CAR.m * V],
         [CAR.c_r * CAR.l_r - CAR.c_f * CAR.l_f, -(CAR.c_f * CAR.l_f**2 + CAR.c_r * CAR.l_r**2) / V],
