@@ -8,16 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit._support.errors import WiringError
 from steerkit.car.gate import gate
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
-from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.units import radians_of
-from steerkit.paths.courses import course
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed
-from steerkit.scenario.assembly import steering_loop
-from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import GateLimits, GateModel
 
 RATIO, LENGTH = 15.6, 2.71
@@ -111,15 +104,3 @@ def test_a_wheel_beyond_the_bound_comes_back_no_faster_than_the_gate_lets_it() -
     bound = RATIO * math.atan(LENGTH * 3.0 / 81.0)
     far, near = (reach(0.0, -0.8, 0.0, 9.0, doe) for doe in (bound, 3.0))
     assert near < far - 0.5
-
-
-def test_foresight_needs_a_recovery_controller() -> None:
-    passat = vehicle("vw-passat")
-    with pytest.raises(WiringError, match="foresight without a recovery controller"):
-        steering_loop(
-            car=LinearSingleTrack(vehicle=passat, v0=5.0),
-            path=course("paper"),
-            driver=ConstantSpeed(speed=5.0),
-            controller=Stanley.of(passat),
-            foresight=ExcursionPredictor(),
-        )

@@ -122,6 +122,8 @@ def test_missing_parts_are_named() -> None:
         steering_loop(**p, doe=Integrator())
     with pytest.raises(WiringError, match="no output 'ready'"):
         steering_loop(**p, recovery=Stanley.of(VW_PASSAT))
+    with pytest.raises(WiringError, match="foresight without a recovery controller"):
+        steering_loop(**p, foresight=ExcursionPredictor())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
