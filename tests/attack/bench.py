@@ -13,6 +13,7 @@ from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import Any
 
 from steerkit.car.config import CarConfig, load
@@ -48,24 +49,8 @@ def configuration(name: str) -> tuple[CarConfig, Any]:
     return config, config.course["path"]
 
 
-@dataclass
-class Sensed:
-    """What the sensors say in one moment; an attack changes it. SI, flags of the kit by name."""
-
-    x: float
-    y: float
-    psi: float
-    v: float
-    r: float
-    beta: float
-    a_y: float
-    stamp: float
-    quality: float
-    angle: float
-    echo: float
-    v_kit: float
-    torque: float
-    flags: set[str]
+Sensed = SimpleNamespace
+"""What the sensors say in one moment; an attack changes it. SI, flags of the kit by name."""
 
 
 class OwnClient:
@@ -254,13 +239,9 @@ class Drive(Bench):
     def sensed(self) -> Sensed:
         """What they say without an attack."""
         car, flags = self.car, {"ENABLED": self.kit_enabled, "OVERRIDE": self.overridden, "TMOUT": self.kit_timeout}
-        x, y, psi, v, r = self.noisy(car.x, car.y, car.psi, car.v, car.r)
+        pose = zip(("x", "y", "psi", "v", "r"), self.noisy(car.x, car.y, car.psi, car.v, car.r))
         return Sensed(
-            x=x,
-            y=y,
-            psi=psi,
-            v=v,
-            r=r,
+            **dict(pose),
             beta=math.atan2(car.slide, max(abs(car.v), 0.5)),
             a_y=car.a_y,
             stamp=self.t,

@@ -45,14 +45,6 @@ def test_without_a_heartbeat_the_wheel_is_free_after_300_ms(name: str) -> None:
     assert drive.silence() <= 0.3
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_without_an_attack_it_drives_on(seed: int) -> None:
-    """Under noise, on a course of straights and bends: no false alarm."""
-    drive = Drive(Attack("none", seconds=20.0), speed=5.0, seed=seed).run()
-    assert math.isinf(drive.ended()), drive.cause()
-    assert drive.excess() < 0.25
-
-
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_without_an_attack_the_product_s_own_controllers_drive_on(controller: str) -> None:
     drive = driven_by(controller, Attack("none", seconds=12.0), speed=5.0)

@@ -12,9 +12,8 @@ from steerkit.car import loop as loops
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.loop import Steers
-from steerkit.car.state_machine import Mode, Order
+from steerkit.car.state_machine import Mode
 from steerkit.controllers.mpc.block import FALLBACK, LATE, PLAN, SOLVED
-from steerkit.controllers.stanley import Stanley
 from steerkit.scenario.catalogue import CONTROLLERS
 from tests.support.car_world import World, setup
 
@@ -68,19 +67,6 @@ def test_a_late_solution_falls_back_to_the_plan_then_to_stanley_and_comes_back()
     assert abs(late["e"]).max() < 0.1  # the fallback law drives as well
     taken[0] = 0.001
     assert (watched(world, 1.0)["status"] == SOLVED).all()
-    assert world.mode is Mode.ENGAGED
-
-
-def test_while_the_human_drives_it_follows_the_wheel_so_that_it_can_be_engaged() -> None:
-    """Its memory of its own commands would drift away from a wheel that does not obey them."""
-    world = World(s=120.0, v=(5.0, 6.0), controller=block_of(clock=None, budget=None))
-    world.order(Order.ARM)
-    world.until(8.0)  # through bends, by hand
-    assert world.mode is Mode.READY, world.core.obstacles()
-    sample = world.run.sample
-    assert sample["controller.delta_sw"] == pytest.approx(sample["car.delta_sw"], abs=Stanley.limit / 20.0)
-    world.order(Order.ENGAGE)
-    world.until(9.0)
     assert world.mode is Mode.ENGAGED
 
 

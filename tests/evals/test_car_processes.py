@@ -24,7 +24,7 @@ from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import load, shipped
+from steerkit.car.config import load
 from steerkit.car.core import Core
 from steerkit.car.ports import BusPort, open_bus
 from steerkit.car.server import CarServer
@@ -169,41 +169,6 @@ def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> N
 def limited(size: int) -> None:
     """No file of this process, nor of those it starts, may grow beyond that."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
-
-
-@pytest.mark.parametrize("keep", [False, True])
-def test_a_full_disk_is_told_and_the_exit_code_says_so(tmp_path: Path, keep: bool) -> None:
-    """No file of the car server may grow beyond 40 kB; without frames it records a hundred ticks a second."""
-    text = shipped(CONFIG).read_text()
-    (tmp_path / "car.toml").write_text(text.replace("keep_recording = false", f"keep_recording = {str(keep).lower()}"))
-    socket, record, log = str(tmp_path / "socket"), tmp_path / "drive.mcap", tmp_path / "server.log"
-    with log.open("w") as stream:
-        server = processes.start(
-            "server",
-            {"config": str(tmp_path / "car.toml"), "channel": "virtual:x", "recording": str(record), "socket": socket},
-            stdout=stream,
-            stderr=stream,
-            preexec_fn=lambda: limited(40_000),
-        )
-    try:
-        end = time.monotonic() + 60.0
-        while "THE RECORDING HAS STOPPED" not in log.read_text():
-            assert time.monotonic() < end, log.read_text()
-            assert server.poll() is None, log.read_text()
-            time.sleep(0.05)
-        with CarClient(socket, controller=False) as operator:
-            operator.order(Order.ARM)
-            operator.query()
-            told = operator.query().text.split("\n")
-        line = next(line for line in told if "File too large" in line)
-        assert line.startswith("recording: " if keep else "not recorded: ")
-    finally:
-        server.terminate()
-        assert server.wait(30.0) == 1
-    assert "THE RECORDING IS NOT WHOLE" in log.read_text()
-    recorded = recordings.read(record)
-    assert recorded.lost
-    assert len(recorded.messages) > 20
 
 
 def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path) -> None:

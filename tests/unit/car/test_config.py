@@ -196,17 +196,6 @@ def test_no_such_file_names_the_shipped_ones() -> None:
         load("mine.toml")
 
 
-def test_own_dbc_and_own_course_beside_the_file(tmp_path: Path) -> None:
-    points = [(50 * math.cos(a / 10), 50 * math.sin(a / 10)) for a in range(63)]
-    (tmp_path / "ring.csv").write_text("x,y\n" + "\n".join(f"{x},{y}" for x, y in points))
-    own = ("0.001,0) [-8388 -> 0.01,0) [-8388", 'name = "paper" -> file = "ring.csv"\nclosed = true')
-    config = load(changed(tmp_path, *own))
-    assert config.quantities["x"].gain == 1.0
-    assert next(r for r in config.readers if r.name == "POSE_POSITION").message.get_signal_by_name("X").scale == 0.01
-    assert config.course["path"].length == pytest.approx(2 * math.pi * 50, rel=0.01)
-    assert {"config.toml", "pose.dbc", "ring.csv"} <= config.texts.keys()
-
-
 def test_degrees_of_a_receiver_become_metres(tmp_path: Path) -> None:
     gnss = """[protect] -> [read.gnss]
 lat = { frame = "GNSS_POSITION", signal = "LAT" }

@@ -15,7 +15,6 @@ from steerkit.diagram.units import degrees_of, radians_of
 CONFIG = load("dbw-kit.toml")
 READERS = {r.name: r for r in CONFIG.readers}
 DBC = cantools.database.load_file(shipped("dbw_steering.dbc"))
-POSE = cantools.database.load_file(shipped("pose.dbc"))
 
 
 def test_crc_check_value_of_autosar() -> None:
@@ -76,18 +75,6 @@ def test_command_refuses_what_does_not_fit() -> None:
     with pytest.raises(ValueError, match="beyond the DBC's range"):
         CONFIG.writer.write(radians_of(4000.0), enable=True)
     assert CONFIG.writer.quantum == pytest.approx(radians_of(0.1))
-
-
-@given(x=st.floats(-8000, 8000), y=st.floats(-8000, 8000), count=st.integers(0, 15), quality=st.integers(0, 15))
-def test_pose_there_and_back(x: float, y: float, count: int, quality: int) -> None:
-    reader = READERS["POSE_POSITION"]
-    data = reader.write({"x": x, "y": y, "quality": quality}, count=count)
-    checked = reader.read(data, (count - 1) % 16)
-    assert checked.error == ""
-    assert checked.counter == count
-    assert checked.values["x"] == pytest.approx(x, abs=0.0005 + 1e-9)
-    assert checked.values["quality"] == quality
-    assert POSE.decode_message("POSE_POSITION", data)["Y"] == pytest.approx(y, abs=0.0005 + 1e-9)
 
 
 @given(data=st.binary(max_size=12), counter=st.none() | st.integers(0, 15))

@@ -113,12 +113,6 @@ def test_after_a_pause_it_begins_anew() -> None:
     assert motion.pose(9.0, 70.0, 3.0) == ""
 
 
-def test_limits_are_checked() -> None:
-    for value in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(ValueError, match="motion_across"):
-            MotionLimits(motion_across=value)
-
-
 @pytest.mark.parametrize("more", [{"late": 0.05}, {"beta": 0.03}, {"beta": -0.03}])
 @pytest.mark.parametrize("kappa", [0.0, 0.05, -0.05])
 def test_nor_is_one_whose_frames_are_read_late_now_and_then_or_that_slides(kappa: float, more: Any) -> None:

@@ -86,29 +86,22 @@ def test_flipped_bits_lose_no_more_than_their_chunk_and_are_told() -> None:
             assert gap.before == (None if last else whole.messages[n + lost].values["t"])
 
 
-def test_a_damaged_stretch_of_any_size_loses_no_chunk_beyond_it() -> None:
+def test_a_stretch_that_was_damaged_went_missing_or_came_in_between_loses_no_chunk_beyond_it() -> None:
     data, rng = small(), random.Random(5)
-    whole = {repr(chunk): chunk for chunk in chunks_of(data)}
-    for fill in (b"\0", b"\xff", b"\x06"):
+    whole, metadata = {repr(chunk): chunk for chunk in chunks_of(data)}, recordings.parse(data).metadata
+    for fill in (b"\0", b"\xff", b"\x06", b""):
         for _ in range(40):
             begin = rng.randrange(len(data))
             end = min(len(data), begin + int(10 ** rng.uniform(0, 4)))
             left = set(map(repr, chunks_of(data[:begin] + fill * (end - begin) + data[end:])))
             assert left >= {key for key, c in whole.items() if c.end <= begin or c.begin >= end}
             assert left <= whole.keys()
-
-
-def test_bytes_that_went_missing_or_came_in_between_lose_one_chunk_at_most() -> None:
-    data, rng = small(), random.Random(6)
-    whole, metadata = list(map(repr, chunks_of(data))), recordings.parse(data).metadata
     for _ in range(60):
-        place, count = rng.randrange(len(data)), rng.randrange(1, 60)
-        for changed in (data[:place] + data[place + count :], data[:place] + rng.randbytes(count) + data[place:]):
-            found, left = recordings.parse(changed), list(map(repr, chunks_of(changed)))
-            assert not found.sound
-            assert len(left) >= len(whole) - 2
-            assert all(chunk in whole for chunk in left)
-            assert found.metadata == metadata
+        place = rng.randrange(len(data))
+        found = recordings.parse(data[:place] + rng.randbytes(rng.randrange(1, 60)) + data[place:])
+        assert not found.sound
+        assert len(found.messages) >= len(recordings.parse(data).messages) - LINES
+        assert found.metadata == metadata
 
 
 def test_what_looks_like_a_beginning_hides_no_chunk_behind_it() -> None:

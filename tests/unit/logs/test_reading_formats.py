@@ -43,15 +43,6 @@ def test_reports_of_autoware_are_known_by_kind_and_keep_float32_to_the_last_bit(
         assert read_drive(written(name, tmp_path, columns)[0]).notes[1].startswith("delta_sw = 15 * the road wheels'")
 
 
-def test_a_long_mf4_is_read_piece_by_piece_to_the_last_bit(tmp_path: Path) -> None:
-    columns = driven(500.0)
-    file, _ = written("mf4", tmp_path, columns)
-    channels = read_log(file).channels
-    for name in ("delta_sw", "v", "r"):
-        np.testing.assert_array_equal(channels[name].values, columns[name])
-        np.testing.assert_array_equal(channels[name].t, columns["t"])
-
-
 def memory(name: str, seconds: float) -> float:
     """The most memory that reading takes, in sizes of the file."""
     with tempfile.TemporaryDirectory() as folder:
