@@ -139,16 +139,6 @@ def test_a_drive_straight_on_is_one_but_nothing_is_identified_from_it(clean: dic
         identify(straight, BASE)
 
 
-def test_channels_of_different_rates_come_to_the_clock_of_the_fastest() -> None:
-    fast, slow = np.arange(0.0, 10.0, 0.01), np.arange(0.5, 9.0, 0.1)
-    notes: list[str] = []
-    even = aligned({"v": 2.0 * slow, "r": np.sin(fast)}, {"v": slow, "r": fast}, "test", notes)
-    np.testing.assert_array_equal(even["t"], fast[(fast >= slow[0]) & (fast <= slow[-1])])
-    np.testing.assert_allclose(even["v"], 2.0 * even["t"], atol=1e-12)
-    np.testing.assert_array_equal(even["r"], np.sin(even["t"]))
-    assert notes == ["one clock of 100 Hz for channels of v 10, r 100 Hz"]
-
-
 def test_where_a_channel_pauses_nothing_is_made_up() -> None:
     t = np.arange(0.0, 10.0, 0.01)
     there = (t < 4.0) | (t > 6.0)
