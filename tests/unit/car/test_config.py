@@ -191,11 +191,6 @@ def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
     assert len(str(caught.value).splitlines()) >= 3
 
 
-def test_no_such_file_names_the_shipped_ones() -> None:
-    with pytest.raises(ConfigError, match=r"shipped: dbw-kit\.toml, dbw_steering\.dbc, pose\.dbc"):
-        load("mine.toml")
-
-
 def test_degrees_of_a_receiver_become_metres(tmp_path: Path) -> None:
     gnss = """[protect] -> [read.gnss]
 lat = { frame = "GNSS_POSITION", signal = "LAT" }

@@ -31,7 +31,10 @@ def test_a_process_of_the_car_imports_no_learner(command: str) -> None:
 @pytest.mark.parametrize(
     ("told", "says"),
     [
-        ({"config": "mine.toml"}, "steerkit car: mine.toml: no such file"),
+        (
+            {"config": "mine.toml"},
+            "mine.toml: no such file, beside the configuration or shipped; shipped: dbw-kit.toml, dbw_steering",
+        ),
         ({"config": KIT, "channel": "nowhere:x"}, "bus interface = 'nowhere'"),
     ],
 )
