@@ -1,7 +1,7 @@
 """The prediction over a steering delay."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
-from steerkit.diagram.block import Block
+from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import PlainAngle
@@ -223,6 +223,18 @@ def test_broken_commands_and_signals_pass() -> None:
     assert math.isfinite(y.delta_sw)
     for v in (0.0, -2.0):
         assert math.isfinite(block.output(0.0, x, block.D(*u._replace(v=v, e=1.0))).delta_sw)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Anywhere(Block):
+    """Does not say where it is measured."""
+
+    e = In("m")
+    delta_sw = Out("rad")
+
+
+def test_a_block_that_does_not_say_where_is_measured_at_the_centre_of_gravity() -> None:
+    assert DelayPredictor.around(Anywhere(), PASSAT, delay=0.1, lag=0.1).reference == 0.0
 
 
 def test_it_wraps_only_what_it_can_serve() -> None:

@@ -85,6 +85,10 @@ def test_the_dead_time_is_found_and_the_car_behind_it(samples: int, straight: fl
     assert process.record.names == COLUMNS
 
 
+def test_the_angle_before_is_one_of_three_that_explain() -> None:
+    assert dead_time_of(late(3, car=replace(CAR, now=0.001, before=0.01, earlier=0.001)), 12) == 3
+
+
 @pytest.mark.parametrize(("car", "speeds"), [(CAR, (4.0, 7.0)), (FAST, (12.0, 24.0))])
 def test_noise_and_little_data_move_the_dead_time_by_a_sample_at_most(
     car: CarModel, speeds: tuple[float, float]
