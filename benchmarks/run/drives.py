@@ -135,14 +135,15 @@ def _driven(
     if program is None:
         length = scenario.length
 
-        def over(now: Sample) -> bool:
-            caught = learned and now["supervisor.learning"] < 0.5
-            return caught or now["path.progress"] >= length or not abs(now["path.e"]) <= OFF_COURSE
+        def over(now: Sample | Log) -> bool:
+            caught = learned and np.any(now["supervisor.learning"] < 0.5)
+            gone = np.any(now["path.progress"] >= length) or not np.all(np.abs(now["path.e"]) <= OFF_COURSE)
+            return bool(caught or gone)
 
         if policy is not None and isinstance(policy.block, NfqPolicy):
             drives = _policy_drives(form, policy.setting, Kind(policy.block), record)
             if drives is not None:
-                return drives.run(loop, seconds)
+                return drives.run(loop, seconds, over=over)
         return simulate(loop, seconds, record=record, every=_every(loop), until=over, allow_nonfinite=True)
     values = {key: parameter(loop, key) for key in program.parameters}
     return program.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.compiled import TraceError, compile
@@ -13,6 +15,9 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log
 from steerkit.scenario.assembly import controller_of, with_controller
+
+PIECE = 10.0
+"""Seconds of driving after which a drive may end early."""
 
 
 class PolicyDrives:
@@ -39,12 +44,20 @@ class PolicyDrives:
             parameters=[*self._open, self._numbers],
         )
 
-    def run(self, loop: Loop, seconds: float) -> Log:
-        """The drive of the policy in `loop`, a loop like the one this was made for, for so many seconds."""
+    def run(self, loop: Loop, seconds: float, *, over: Callable[[Log], bool] = lambda log: False) -> Log:
+        """The drive of the policy in `loop`, a loop like the one this was made for, for so many seconds.
+
+        over: is nothing left to see after this piece of the drive, of `PIECE` seconds? Then the drive ends with it.
+        """
         self._policy = _policy_of(loop)
         values = {name: parameter(loop, name) for name in self._open}
         values[self._numbers] = numbers_of(self._policy)
-        return self._compiled.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
+        parts, left, state = list[Log](), seconds, loop.init()
+        while left > 0.5 * loop.dt and not (parts and over(parts[-1])):
+            parts.append(self._compiled.run(min(PIECE, left), state=state, parameters=values, allow_nonfinite=True))
+            state, left = parts[-1].state or state, left - PIECE
+        signals = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return Log(np.concatenate([part.t for part in parts]), signals, parts[0].units, loop=loop, state=state)
 
 
 def policy_drives(loop: Loop, record: Sequence[str], parameters: Sequence[str] = ()) -> PolicyDrives | None:

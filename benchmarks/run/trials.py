@@ -99,14 +99,22 @@ def _drive_one(scenario: Scenario, setting: Setting, policy: Any, seed: int, *, 
         log = evaluate.drive(scenario, policy, doe=doe, seed=seed, rounds=1.0, only_while_held=True)
     else:
         one_round = scenario.with_(course={"rounds": 1.0})
-        log = drives.run(evaluate.drive_loop(one_round, policy, doe=doe, seed=seed), one_round.seconds)
+        log = drives.run(
+            evaluate.drive_loop(one_round, policy, doe=doe, seed=seed),
+            one_round.seconds,
+            over=lambda part: any(flags.any() for flags in _ends(part, scenario.round_length)),
+        )
     return _judged(log, scenario.round_length)
 
 
+def _ends(log: Log, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Samples in which the policy has lost the car, and in which its round is over."""
+    lost = (log["supervisor.learning"] < 0.5) | ~(np.abs(log["path.e"]) <= TRIP)
+    return lost, log["path.progress"] >= length
+
+
 def _judged(log: Log, length: float) -> TrialDrive:
-    e, progress = log["path.e"], log["path.progress"]
-    lost = (log["supervisor.learning"] < 0.5) | ~(np.abs(e) <= TRIP)
-    over = progress >= length
+    progress, (lost, over) = log["path.progress"], _ends(log, length)
     end = min(_first(lost), _first(over) + 1)
     part = Log(log.t[:end], {name: log[name][:end] for name in SIGNALS}, log.units)
     driven = float(progress[max(0, end - 1)])
