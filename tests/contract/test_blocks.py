@@ -234,25 +234,42 @@ def test_it_gives_the_numbers_written_down(example: Example) -> None:
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-9), f'"{key}": {json.dumps(found)}'
 
 
-def ranges() -> dict[str, dict[str, str]]:
-    """The range of each field that is declared as a `number`, by class."""
+def interface() -> dict[str, dict[str, str]]:
+    """The defaults of all public classes, functions and methods, and the range of each field that is a `number`."""
     concrete_blocks()  # imports all modules
     found: dict[str, dict[str, str]] = {}
-    for module in [module for name, module in sys.modules.items() if name.startswith("steerkit.")]:
-        for kind in filter(dataclasses.is_dataclass, vars(module).values()):
-            for field in dataclasses.fields(kind):
-                if "number" in field.metadata and field.name in vars(kind).get("__annotations__", {}):
-                    unit, low, high, above = field.metadata["number"]
-                    own = found.setdefault(kind.__name__, {})  # type: ignore[union-attr]
-                    own[field.name] = f"{'(' if above else '['}{low:.9g}, {high:.9g}] {unit}"
+    for module in [module for name, module in sorted(sys.modules.items()) if name.startswith("steerkit.")]:
+        own = [thing for thing in vars(module).values() if getattr(thing, "__module__", "") == module.__name__]
+        for place in (module, *filter(inspect.isclass, own)):
+            fields = {f.name: f.metadata for f in dataclasses.fields(place)} if dataclasses.is_dataclass(place) else {}
+            functions = [getattr(thing, "__func__", thing) for thing in vars(place).values()]
+            for f in filter(inspect.isfunction, functions):
+                name = re.sub(r"\.__(init|new)__$", "", f.__qualname__)
+                constructed = name != f.__qualname__
+                if f.__module__ in (module.__name__, "builtins") and not re.search(r"(^|\.)_|<", name):
+                    values = _defaults(f, fields if constructed else {})
+                    found |= {f"{module.__name__.removeprefix('steerkit.')}.{name}": values} if values else {}
     return found
 
 
-def test_ranges_are_those_written_down() -> None:
-    """For the classes in tests/golden/ranges.json; whoever changes a range on purpose changes it there, too."""
-    found, file = ranges(), ROOT / "tests/golden/ranges.json"
-    for name, expected in json.loads(file.read_text(encoding="utf-8")).items():
-        assert found[name] == expected, f'"{name}": {json.dumps(found[name])}'
+def _defaults(function: Callable[..., Any], fields: dict[str, Any]) -> dict[str, str]:
+    shown: dict[str, str] = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        default = parameter.default
+        if isinstance(default, (int, float, str, tuple)):
+            shown[name] = f"{default:.9g}" if isinstance(default, float) else str(default)
+        if "number" in fields.get(name, {}):
+            unit, low, high, above = fields[name]["number"]
+            shown[name] = f"{shown.get(name, '')} {'(' if above else '['}{low:.9g}, {high:.9g}] {unit}".lstrip()
+    return shown
+
+
+def test_defaults_and_ranges_are_those_written_down() -> None:
+    """Whoever changes one on purpose changes its line in tests/golden/interface.json."""
+    expected = json.loads((ROOT / "tests/golden/interface.json").read_text(encoding="utf-8"))
+    found = interface()
+    changed = sorted(key for key in found.keys() | expected.keys() if found.get(key) != expected.get(key))
+    assert not changed, "\n".join(f'"{key}": {json.dumps(found.get(key))},' for key in changed)
 
 
 def _smaller(block: Block, values: dict[str, Any], share: float) -> dict[str, Any]:
