@@ -273,7 +273,8 @@ class Loop:
     @functools.cached_property
     def _rounds(self) -> int:
         """How often all blocks settle until nothing changes any more."""
-        return self._started((), None)[1]
+        _, rounds = self._started((), None)
+        return rounds
 
     def _started(self, shape: tuple[int, ...], x: Sequence[State] | None) -> tuple[LoopState, int]:
         """The settled state, and how often all blocks had to settle."""

@@ -206,8 +206,8 @@ def way(drive: Drive, *, ahead: float = 0.0) -> Path:
     moved = np.concatenate(([True], np.diff(s) > 1e-6))
     at = np.linspace(0.0, s[-1], max(4, math.ceil(s[-1] / _SPACING)) + 1)
     xy = np.column_stack([np.interp(at, s[moved], column[moved]) for column in (x, y)])
-    end = xy[-1] + 50.0 * (xy[-1] - xy[-2]) / math.dist(xy[-1], xy[-2])  # a controller looks ahead of the last sample
-    more = np.linspace(xy[-1], end, math.ceil(50.0 / _SPACING) + 1)[1:]
+    on = (xy[-1] - xy[-2]) / math.dist(xy[-1], xy[-2])  # a controller looks ahead of the last sample
+    more = xy[-1] + np.outer(np.arange(1, 26) * _SPACING, on)
     before = xy[0] - np.outer(np.arange(5, 0, -1) * _SPACING, (1.0, 0.0))
     return Path.from_waypoints(np.vstack((before, xy, more)), closed=False, spacing=_SPACING, name=drive.name)
 

@@ -1,6 +1,8 @@
 """Generated C: what Python's numbers and tables are there, and where a batch of cars goes on."""
 
 import ctypes
+import hashlib
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,13 +13,15 @@ import pytest
 
 from steerkit._support import native
 from steerkit.compiled import compile
-from steerkit.compiled.c_code import MANY, ONE, scheduled, table_source
-from steerkit.compiled.graph import Graph
+from steerkit.compiled.c_code import MANY, ONE, finish_source, run_source, scheduled, table_source
+from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, INFIX, Graph, collapsed
+from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import trace
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, Out, State
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Table
+from tests.support.places import ROOT
 from tests.support.traced_blocks import mixed_loop, oscillating_loop
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="needs a C compiler")
@@ -107,6 +111,51 @@ def test_the_longest_way_to_the_end_begins() -> None:
     assert next(op for op in order if op != "in") == "div"
     assert order[-1] == "div"
     assert order.index("mul") < len(order) - 1
+
+
+def drawn_graph(seed: int) -> Graph:
+    """A graph of all operations, each of operands that were drawn among the last ones."""
+    graph, rng = Graph(), np.random.default_rng(seed)
+    nodes = [graph.add("in", slot) for slot in range(8)]
+    two, condition = [*INFIX, "atan2"], graph.add("lt", *nodes[:2])
+    for op in rng.permutation([*INFIX, *sorted(FUNCTIONS), "neg", "abs", "not", "select", "row", "call"] * 12).tolist():
+        a, b = rng.choice(nodes[-24:], 2).tolist()
+        match op:
+            case "select":
+                node = graph.add(op, condition, a, b)
+            case "row":
+                node = graph.add(op, 0, a, 3)
+            case "call":
+                node = graph.add("result", graph.add(op, 0, 2, a, b), 1)
+            case _:
+                node = graph.add(op, *((a, b) if op in two else (a,)))
+        condition = node if op in BOOLEAN else condition
+        nodes.append(graph.number(node))
+    return graph
+
+
+def generated() -> dict[str, str]:
+    """The text of generated code, and the order of instructions of all kinds."""
+    found = {}
+    for seed in range(3):
+        graph = drawn_graph(seed)
+        found[f"order {seed}"] = str(scheduled(graph, range(len(graph.nodes))))
+    for name, loop in (("mixed", mixed_loop(0.1)), ("fast", mixed_loop(0.05)), ("oscillating", oscillating_loop())):
+        made, recorded = trace(loop), (1, 2)
+        found[f"{name} Python"] = PythonProgram(made, recorded, 3).source
+        for many in (False, True):
+            found[f"{name} C{' lanes' * many}"] = run_source(made, recorded, many=many) + "".join(
+                finish_source(made, number, many=many) for number in range(len(made.kinds))
+            )
+        graph, roots = collapsed(made.ticks[0].graph, made.ticks[0].roots, {1: 4.0})
+        found[f"{name} collapsed"] = str([graph.nodes, roots])
+    return found
+
+
+def test_generated_code_is_what_was_written_down() -> None:
+    """Which order is fastest shows in no result: whoever changes one on purpose replaces tests/golden/code.json."""
+    found = {name: hashlib.sha256(text.encode()).hexdigest()[:12] for name, text in generated().items()}
+    assert found == json.loads((ROOT / "tests/golden/code.json").read_text(encoding="utf-8")), json.dumps(found)
 
 
 def test_nothing_wanted_is_nothing_written() -> None:

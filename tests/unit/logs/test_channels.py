@@ -42,7 +42,7 @@ def test_a_measurement_goes_before_a_wish_and_a_known_kind_before_a_name() -> No
     wish, report = channel("/control/command.yaw_rate"), channel("/status.yaw_rate", rate=10.0)
     assert candidates("r", table(wish, report)) == [report.name, wish.name]
     kind = channel("/imu.angular_velocity.z", means="r")
-    assert candidates("r", table(report, kind))[0] == kind.name
+    assert candidates("r", table(channel("r"), kind))[0] == kind.name
     assert candidates("v", table(channel("/x.speed", means="r"))) == []
 
 

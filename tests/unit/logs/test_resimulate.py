@@ -33,6 +33,7 @@ def test_the_way_is_the_integral_of_speed_and_yaw_rate() -> None:
     wheel = np.full_like(t, 0.5)
     circle = Drive.of(dict(t=t, delta_sw=wheel, v=v, r=r), name="c", trusted=True)
     path = way(circle, ahead=0.0)
+    assert path.length == pytest.approx(10.0 + 6.0 * t[-1] + 50.0, abs=0.1)
     xy = path.point(np.linspace(12.0, 300.0, 50))
     assert np.abs(np.hypot(xy[:, 0], xy[:, 1] - 60.0) - 60.0).max() < 0.01
     front = way(circle, ahead=2.0).point(np.linspace(12.0, 300.0, 50))

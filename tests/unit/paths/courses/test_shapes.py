@@ -1,9 +1,22 @@
-"""Manoeuvres ask of the car what they are made for."""
+"""Manoeuvres ask of the car what they are made for, and all courses are those written down."""
+
+import json
 
 import numpy as np
 import pytest
 
-from steerkit.paths.courses import lane_change, slalom
+from steerkit.paths.courses import (
+    bends,
+    circle,
+    course,
+    figure_eight,
+    lane_change,
+    names,
+    random_course,
+    slalom,
+    straight,
+)
+from tests.support.places import ROOT
 
 
 @pytest.mark.parametrize("part", [1, 2])
@@ -33,3 +46,27 @@ def test_a_slalom_swings_by_its_offset() -> None:
 def test_another_lane_change_is_refused(part: int, speed: float) -> None:
     with pytest.raises(ValueError, match=r"valid: 1, 2|expected > 0"):
         lane_change(part, speed=speed)
+
+
+def test_courses_are_those_written_down() -> None:
+    """Length, number of knots, weighted sums of their numbers; whoever changes one on purpose replaces its line."""
+    plan = [(20.0, 90.0, 9.0, 5.0), (30.0, 180.0, 12.0, 0.0), (5.0, 0.0, 1.0, 0.0), (30.0, 90.0, 8.0, 7.5)]
+    paths = {name: course(name) for name in names()} | {
+        "circle 3": circle(3.0),
+        "straight 2.5": straight(2.5),
+        "eight 20": figure_eight(20.0),
+        "lane change 4": lane_change(2, speed=4.0),
+        "bends": bends(plan),
+        "random 3": random_course(3),
+        "random 4": random_course(4, length=90.0, max_kappa=0.2),
+    }
+    found = {}
+    for name, path in paths.items():
+        rows = path.table.rows
+        sums = np.cos(np.arange(len(rows))) @ rows / len(rows)
+        found[name] = [float(f"{number:.12g}") for number in (path.length, len(rows), *np.round(sums, 12))]
+    expected = json.loads((ROOT / "tests/golden/courses.json").read_text(encoding="utf-8"))
+    for name, numbers in found.items():
+        line = f'"{name}": {json.dumps(numbers)}'
+        assert numbers == pytest.approx(expected.pop(name, []), rel=1e-9, abs=1e-9), line
+    assert not expected

@@ -70,9 +70,9 @@ def test_pieces_that_do_not_meet_are_refused_and_small_gaps_told() -> None:
         ValueError, match=r"a gap of 1 m between way a and way b, at \(41.0, 0.0\) \[m\]: not connected"
     ):
         gap.route({"way": "a", "to": "c"}, "town")
-    small = town(b=piece("b", (40.2, 0), (60, 10), "c"))
+    small = town(b=piece("b", (40.5, 0), (60, 10), "c"))
     _, _, notes = small.route({"way": "a", "to": "c"}, "town")
-    assert notes[1] == "a gap of 0.20 m between way a and way b is bridged"
+    assert notes[1] == "a gap of 0.50 m between way a and way b is bridged"
 
 
 def test_a_kink_between_lanes_is_refused() -> None:
