@@ -61,6 +61,16 @@ def test_a_file_where_the_socket_should_be_is_left_alone(tmp_path: Path) -> None
     assert file.read_text() == "a thesis"
 
 
+def test_a_recording_that_stops_and_goes_on_is_said_once(
+    car_server: CarServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    recording = SimpleNamespace(event=lambda *_: None)
+    monkeypatch.setattr(car_server, "recording", recording)
+    for recording.failed in ("", "disk full", "disk full", ""):
+        car_server._look_at_recording()
+    assert caplog.messages == ["THE RECORDING HAS STOPPED: disk full", "the recording goes on"]
+
+
 def test_closed_it_leaves_no_thread_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However it ended: whoever made one and never ran it goes on without it."""
     before = set(threading.enumerate())

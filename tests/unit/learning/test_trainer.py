@@ -146,6 +146,12 @@ def test_simulated_nets_are_ready_when_the_charged_time_has_passed() -> None:
     assert trainer.poll(23.0) is not None
     trainer.submit(job(4), 40.0)  # after a pause: begins at once
     assert trainer.poll(41.5) is not None
+    trainer.submit(job(5), 50.0)
+    resumed = SimulatedTrainer(seconds=1.5, pending=trainer.pending)  # of a checkpoint
+    assert same(resumed.learned.nets, trainer.learned.nets)
+    assert resumed.poll(51.5) is not None
+    with pytest.raises(ValueError, match="job number 5"):
+        resumed.submit(job(5), 52.0)
 
 
 def test_simulated_errors_are_raised_where_they_are_made() -> None:
