@@ -94,7 +94,8 @@ class Shell:
 
     def close(self) -> None:
         """Stop what is running, the last first."""
-        for process in reversed(self.running):
+        while self.running:
+            process = self.running.pop()
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGTERM)
             process.wait(PATIENCE)
@@ -188,7 +189,7 @@ def carried_out(step: Step, shell: Shell) -> str:
 
 def started(step: Step, line: str, shell: Shell) -> str:
     """Start a program that stays, and wait until it is up; what went wrong, empty: nothing."""
-    log = shell.folder / f"background-{len(shell.running)}.log"
+    log = shell.folder / f"background-{step.shown.replace('/', '-')}.log"
     process = shell.start(line, log)
     shell.running.append(process)
     end = time.monotonic() + PATIENCE
@@ -213,6 +214,8 @@ def test_the_shell_lines_of_a_page_run_in_their_order(page: Path, shell: Shell, 
             if not (shell.folder / name).exists():
                 make(name, shell.folder, request.getfixturevalue("learned"))
         faults.append(carried_out(step, shell))
+        if step.ends:
+            shell.close()
     assert not any(faults), "\n\n".join(filter(None, faults))
 
 

@@ -58,6 +58,8 @@ class Step:
     """Regular expression for its standard output; of a program that stays, for the line that says that it is up."""
     stays: bool = False
     """A program that runs until it is stopped: it stays in the background until the page ends."""
+    ends: bool = False
+    """Is nothing that stays needed after this line?"""
     code: int = 0
     """Exit code."""
 
