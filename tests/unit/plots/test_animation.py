@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from steerkit.diagram.simulation import Log
-from steerkit.plots.animation import LENGTH, Moments, Scene, _moved, animate
-from tests.support.circle_drive import PASSAT, PATH
+from steerkit.plots.animation import Moments, Scene, animate
+from tests.support.circle_drive import PATH
 from tests.support.command_lines import run
 
 
@@ -23,25 +23,6 @@ def test_a_film_has_its_frames_and_the_car_moves(log: Log, tmp_path: Path) -> No
             film.seek(k)
             frames.append(np.asarray(film.convert("L"), dtype=float))
     assert np.abs(frames[0] - frames[1]).mean() > 1.0
-
-
-def test_the_car_is_to_scale_and_in_its_place(log: Log) -> None:
-    scene = Scene(Moments.of_log(log, 0), PATH, 2.71, PASSAT.l_f, 15.6, 18.0)
-    scene.show(2.0, 1.0)
-    body = scene.car.shapes[-1].get_xy()
-    x, y, psi = (np.interp(2.0, log.t, log[f"car.{key}"]) for key in ("x", "y", "psi"))
-    local = _moved(body - (x, y), -psi, 0.0, 0.0)
-    assert np.ptp(local[:, 0]) == pytest.approx(LENGTH * 2.71)
-    assert local[:, 0].max() > 0.5 * 2.71
-    assert abs(local[:, 1].max() + local[:, 1].min()) < 1e-9
-    front, rear = (
-        np.mean([_moved(s.get_xy() - (x, y), -psi, 0.0, 0.0).mean(axis=0) for s in pair], axis=0)
-        for pair in (scene.car.shapes[:2], scene.car.shapes[2:4])
-    )
-    assert front[0] - rear[0] == pytest.approx(2.71, abs=0.1)
-    assert scene.view.get_xlim() == pytest.approx((x - 18.0, x + 18.0))
-    assert "t = 2.0 s" in scene.words.get_text()
-    assert f"{np.interp(2.0, log.t, log['path.e']):+.3f}" in scene.words.get_text()
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.simulation import Log
-from steerkit.plots.drive import first_round, learning, round_driven, rounds_driven
+from steerkit.plots.drive import first_round, round_driven, rounds_driven
 
 
 def drive(width: float = 120.0, depth: float = 40.0, seconds: float = 660.0) -> Log:
@@ -22,13 +22,6 @@ def drive(width: float = 120.0, depth: float = 40.0, seconds: float = 660.0) -> 
         "car.a_y": zero,
     }
     return Log(t, signals, dict.fromkeys(signals, ""))
-
-
-def test_learning_shows_the_whole_drive_unless_told_otherwise() -> None:
-    assert learning(drive(), title="all").axes[0].get_xlim() == (0.0, 660.0)
-    figure = learning(drive(), title="the paper's", seconds=350.0)
-    assert figure.axes[0].get_xlim() == (0.0, 350.0)
-    assert figure.axes[0].lines[-1].get_xdata().max() <= 350.0
 
 
 @pytest.mark.parametrize(("width", "depth"), [(120.0, 100.0), (900.0, 100.0), (40.0, 300.0)])

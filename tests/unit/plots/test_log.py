@@ -2,35 +2,15 @@
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.plots.log import plot_log
 from tests.support.diagrams import small
 
 
-def test_one_panel_a_unit_over_the_same_time() -> None:
-    log = simulate(small(), 2.0)
-    figure = log.plot("wave.v", "angle.angle", "gain.y")
-    assert isinstance(figure, Figure)
-    metres, radians = figure.axes
-    assert [line.get_label() for line in metres.get_lines()] == ["wave.v", "gain.y"]
-    np.testing.assert_array_equal(metres.get_lines()[0].get_xydata(), np.column_stack((log.t, log["wave.v"])))
-    assert metres.get_ylabel() == "[m]"
-    assert radians.get_ylabel() == "angle.angle [rad]"
-    assert metres.get_legend() is not None
-    assert radians.get_legend() is None
-    assert radians.get_xlabel() == "t [s]"
-    assert metres.get_shared_x_axes().joined(metres, radians)
-    assert len({line.get_color() for line in metres.get_lines()}) == 2
-
-
 def test_by_default_all_signals_with_a_line_an_entry() -> None:
     figure = simulate(small(), 1.0).plot()
     assert sum(len(axes.get_lines()) for axes in figure.axes) == 6
-    batch = simulate(small(), 1.0, batch=7).plot("wave.v")
-    assert len(batch.axes[0].get_lines()) == 7
-    assert batch.axes[0].get_lines()[0].get_label() == "wave.v (7)"
 
 
 def test_signals_may_be_ports() -> None:

@@ -63,18 +63,6 @@ def test_recorded_states_keep_to_the_rule_that_the_pictures_use(record: Record) 
     assert np.sqrt(np.mean((e_dot - rule)[slow] ** 2)) < 0.3 * np.sqrt(np.mean(e_dot[slow] ** 2))
 
 
-def test_slices_hold_the_policys_values(record: Record) -> None:
-    policy, scenario = record.policy, record.experiment.scenario
-    figure = q_slices(policy, scenario, v=5.0)
-    labels = [axis.get_xlabel().split(" [")[0] for axis in figure.axes]
-    assert labels == ["e", "e_dot", "v", "psi_e", "r_e", "steering wheel"]
-    line = next(line for line in figure.axes[0].get_lines() if line.get_label() == "greedy")
-    for e, q in zip(line.get_xdata()[::40], line.get_ydata()[::40]):
-        u = policy.D(e=float(e), e_dot=0.0, v=5.0, psi_e=0.0, r_e=0.0, doe=0.0)
-        assert policy.output(0.0, (), u).q == pytest.approx(q, abs=1e-6)
-    assert len(figure.axes[0].get_lines()) == len(policy.actions) + 1
-
-
 def test_the_map_shows_the_action_that_the_policy_takes(record: Record) -> None:
     policy, scenario = replace(record.policy, continuous=False), record.experiment.scenario  # the map shows the set's
     figure = policy_map(policy, scenario, visited=record.transitions, v=5.0, doe_deg=(0.0, 120.0))
