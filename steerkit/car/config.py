@@ -288,9 +288,8 @@ def _ranges(config: CarConfig) -> Iterator[str]:
         low, high = _reach(config, mapping)
         one_sided = quantity in ("v", "v_kit")
         if high < least or (low > -least and not one_sided):
-            unit = "N m" if quantity == "torque" else "SI"
             yield (
-                f"[read.{quantity}] {mapping.signal} reaches from {low:.4g} to {high:.4g} [{unit}], expected at least "
+                f"[read.{quantity}] {mapping.signal} reaches from {low:.4g} to {high:.4g} [SI], expected at least "
                 f"{'' if one_sided else '+-'}{least:.4g}, or a tighter limit"
             )
     low, high = _reach(config, config.quantities["psi"])

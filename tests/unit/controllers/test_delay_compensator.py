@@ -120,7 +120,6 @@ def test_numbers_out_of_range_are_refused() -> None:
         DelayCompensator(samples=2.0)
     with pytest.raises(ValueError, match="preview_points"):
         NfqPolicy(forecast=DelayCompensator())
-    assert DelayCompensator().dt == DT
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Networks and any function as controllers: as in the environment, compiled, from their file."""
 
-from functools import partial
 from typing import Any
 
 import gymnasium
@@ -17,7 +16,6 @@ from steerkit.gym import Network, PolicyBlock, Task
 from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import steering_loop
 from steerkit.scenario.drive import drive_loop
-from tests.support.ranges import keeps_range
 from tests.support.steady_world import SteadyWorld
 
 CONTINUOUS = "steerkit/TrackSteeringContinuous-v0"
@@ -79,7 +77,6 @@ def test_any_function_may_steer_and_its_mistakes_are_named() -> None:
     assert np.isnan(lazy.output(0.0, (), u._replace(v=float("inf"))).action)
     edge = PolicyBlock(policy=lambda x: [-1.0])
     assert edge.output(0.0, (), u).action == pytest.approx(radians_of(-25.0))
-    keeps_range(partial(PolicyBlock, policy=lambda x: [0.0]), "largest", "(0.0, 20.0]")
     late = PolicyBlock(policy=lambda x: [0.0], ready_from=2.0)
     assert [late.output(t, (), u).ready for t in (1.9, 2.0)] == [0.0, 1.0]
     assert PolicyBlock(policy=lambda x: [2], actions=(-0.1, 0.0, 0.1)).output(0.0, (), u).action == 0.1
