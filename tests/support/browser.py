@@ -11,6 +11,9 @@ from typing import Any
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 
 
+FLAGS = """--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking
+--disable-component-update --disable-sync --disable-dev-shm-usage --window-size=1500,1000 --enable-logging=stderr
+--virtual-time-budget=10000"""
 FRAME = """<!doctype html><pre id="probe"></pre><script src="%s"></script>
 <iframe src="%s" width="%d" height="%d" frameborder="0"></iframe>"""
 """A page in a frame: no window is as narrow as a phone. Its script, FRAME_JS; the page; how large."""
@@ -26,25 +29,7 @@ def shown(frame: str, folder: Path, *options: str) -> dict[str, Any]:
     """
     assert BROWSER is not None
     done = subprocess.run(
-        [
-            BROWSER,
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--disable-quic",
-            "--no-first-run",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            "--disable-dev-shm-usage",
-            f"--user-data-dir={folder / 'profile'}",
-            "--window-size=1500,1000",
-            "--enable-logging=stderr",
-            "--virtual-time-budget=10000",
-            *options,
-            "--dump-dom",
-            frame,
-        ],
+        [BROWSER, *FLAGS.split(), f"--user-data-dir={folder / 'profile'}", *options, "--dump-dom", frame],
         capture_output=True,
         text=True,
         timeout=120,

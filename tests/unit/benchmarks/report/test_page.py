@@ -9,6 +9,7 @@ import pytest
 from benchmarks.report.page import write_report
 from benchmarks.run.results import Results
 from tests.support.browser import BROWSER, FRAME, FRAME_JS, shown
+from tests.support.places import SUPPORT
 from tests.support.report_results import CONTROLLERS
 
 PHONE, DESK = (390, 844), (1360, 900)
@@ -63,29 +64,7 @@ def test_no_results_are_refused(known: Results, tmp_path: Path) -> None:
         write_report(empty, tmp_path / "page.html")
 
 
-PROBE = """<script>
-window.seen = [];
-addEventListener("error", event => seen.push("error: " + event.message));
-addEventListener("securitypolicyviolation", event => seen.push("blocked: " + event.blockedURI));
-for (const kind of ["error", "warn"]) console[kind] = (...words) => seen.push(kind + ": " + words.join(" "));
-addEventListener("load", () => {
-  const board = document.querySelector("table.board");
-  const order = () => [...board.tBodies[0].rows].map(row => row.cells[0].innerText.split("\\n")[0].trim());
-  const buttons = [...board.querySelectorAll("th button")];
-  const rms = buttons.findIndex(b => b.innerText.startsWith("RMS e"));
-  const orders = {start: order()};
-  buttons[rms].click(); orders.up = order();
-  buttons[rms].click(); orders.down = order();
-  orders.aria = buttons[rms].closest("th").getAttribute("aria-sort");
-  for (const fold of document.querySelectorAll("details")) fold.open = true;
-  const wide = [...document.body.querySelectorAll("*")].filter(e => e.getBoundingClientRect().right > innerWidth + 1
-    && !e.closest(".scroll, nav > div, svg, figure > div")).map(e => e.tagName + "." + e.className);
-  const text = [...document.querySelectorAll("figure svg")].filter(s => s.getBoundingClientRect().width < 100).length;
-  const probe = {width: innerWidth, scroll: document.documentElement.scrollWidth, seen, orders, wide, thin: text,
-    requests: performance.getEntriesByType("resource").map(r => r.name).filter(n => !n.startsWith("data:"))};
-  parent.postMessage(JSON.stringify(probe), "*");
-});
-</script>"""
+PROBE = (SUPPORT / "probe.html").read_text(encoding="utf-8")
 
 
 def browsed(page: str, size: tuple[int, int], tmp_path: Path) -> dict[str, Any]:
