@@ -107,7 +107,7 @@ def break_at(loop: Loop, signal: Signal, *, at: LoopState | None = None) -> Any:
             f"break_at: {name} does not act back on itself here; is a limiter active, or does no one use it?"
         )
     labels = dict(inputs=around.input_labels, outputs=around.output_labels, states=around.state_labels)
-    return control.ss(around.A, around.B, -around.C, -around.D, around.dt, **labels)
+    return control.ss(-around, **labels)
 
 
 class Margins(NamedTuple):

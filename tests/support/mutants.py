@@ -194,7 +194,7 @@ def drawn(lines: dict[str, set[int]] | None, under: Sequence[str], count: int, s
 
 def covering(file: str) -> list[str]:
     """Tests for a module, the nearest first: its mirror, those that import it (who imports least first), the mirrors
-    of modules that import it, contracts."""
+    of modules that import it, parts of a mirror (test_reading_formats.py of test_reading.py), contracts."""
     files = house.modules(ROOT, "steerkit") | house.modules(ROOT, "tests")
     places = {name: str(path.relative_to(ROOT)) for name, path in files.items()}
     stub = (node for node in house.tree(ROOT / "steerkit" / "__init__.pyi").body if isinstance(node, ast.ImportFrom))
@@ -207,9 +207,13 @@ def covering(file: str) -> list[str]:
     )
     direct = [places[name] for name in importers if ".test_" in name]
     next_ones = [house.mirror(places[name]) for name in importers if name.startswith("steerkit")]
+    mirrors = [Path(house.mirror(file)), *map(Path, next_ones)]
+    parts = [str(part.relative_to(ROOT)) for m in mirrors for part in sorted((ROOT / m).parent.glob(f"{m.stem}_*.py"))]
     contracts = [f"tests/contract/test_{one}.py" for one in ("blocks", "same_everywhere", "wrong_inputs", "documents")]
     return [
-        test for test in dict.fromkeys([house.mirror(file), *direct, *next_ones, *contracts]) if (ROOT / test).is_file()
+        test
+        for test in dict.fromkeys([house.mirror(file), *direct, *next_ones, *parts, *contracts])
+        if (ROOT / test).is_file()
     ]
 
 

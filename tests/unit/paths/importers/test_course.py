@@ -69,6 +69,9 @@ def test_speeds_stay_where_they_were() -> None:
     assert one.v is None
     assert (one.v_limit[s < 66.0] == 10.0).all()
     assert (one.v_limit[s > 69.0] == 5.0).all()
+    some = made(BENT, noise=0.5, speeds=dict(v_limit=limit * [1.0, np.nan, 1.0, 1.0])).v_limit
+    assert [np.unique(some[part]).tolist() for part in (s < 39.0, s > 69.0)] == [[10.0], [5.0]]
+    assert np.isnan(some[(s > 41.0) & (s < 66.0)]).all()
 
 
 def test_a_course_comes_back_from_its_file(tmp_path: FilePath) -> None:
