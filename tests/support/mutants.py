@@ -193,8 +193,9 @@ def drawn(lines: dict[str, set[int]] | None, under: Sequence[str], count: int, s
 
 
 def covering(file: str) -> list[str]:
-    """Tests for a module, the nearest first: its mirror, those that import it (who imports least first), the mirrors
-    of modules that import it, parts of a mirror (test_reading_formats.py of test_reading.py), contracts."""
+    """Tests for a module, the nearest first: its mirror, what every block keeps, those that import it (who imports
+    least first), the mirrors of modules that import it, parts of a mirror (test_reading_formats.py of
+    test_reading.py), the other contracts."""
     files = house.modules(ROOT, "steerkit") | house.modules(ROOT, "tests")
     places = {name: str(path.relative_to(ROOT)) for name, path in files.items()}
     stub = (node for node in house.tree(ROOT / "steerkit" / "__init__.pyi").body if isinstance(node, ast.ImportFrom))
@@ -210,11 +211,8 @@ def covering(file: str) -> list[str]:
     mirrors = [Path(house.mirror(file)), *map(Path, next_ones)]
     parts = [str(part.relative_to(ROOT)) for m in mirrors for part in sorted((ROOT / m).parent.glob(f"{m.stem}_*.py"))]
     contracts = [f"tests/contract/test_{one}.py" for one in ("blocks", "same_everywhere", "wrong_inputs", "documents")]
-    return [
-        test
-        for test in dict.fromkeys([house.mirror(file), *direct, *next_ones, *parts, *contracts])
-        if (ROOT / test).is_file()
-    ]
+    tests = dict.fromkeys([house.mirror(file), contracts[0], *direct, *next_ones, *parts, *contracts])
+    return [test for test in tests if (ROOT / test).is_file()]
 
 
 class Copies:
