@@ -91,18 +91,6 @@ def test_a_loops_instructions_come_once_each_after_its_operands() -> None:
         assert all(place[j] < place[i] for i in order for j in tick.graph.operands(i))
 
 
-def test_chains_that_do_not_wait_for_each_other_stand_side_by_side() -> None:
-    graph = Graph()
-    roots = [chain(graph, slot, 50) for slot in range(3)]
-    order = [i for i in scheduled(graph, roots) if graph.nodes[i][0] == "mul"]
-    first = [min(n for n, i in enumerate(order) if graph.nodes[i][2] == start) for start in (0, 51, 102)]
-    last = [max(n for n, i in enumerate(order) if graph.nodes[i][2] == start) for start in (0, 51, 102)]
-    assert max(first) <= 3
-    assert min(last) >= len(order) - 3
-    one_by_one = graph.order(roots)
-    assert np.ptp([one_by_one.index(root) for root in roots]) > 90  # what it is better than
-
-
 def test_the_longest_way_to_the_end_begins() -> None:
     """A division takes longer than three products."""
     graph = Graph()
