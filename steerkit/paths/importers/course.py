@@ -215,8 +215,7 @@ def _along(path: Path, s: Array, values: Array | None) -> Array | None:
     knots = path.samples.s
     if np.isfinite(values).all():
         return np.interp(knots, s, values)
-    nearest = np.clip(np.searchsorted(s, knots + 1e-9, side="right") - 1, 0, len(s) - 1)
-    return values[nearest]
+    return values[np.maximum(np.searchsorted(s, knots + 1e-9, side="right") - 1, 0)]
 
 
 _DEGREE = 5

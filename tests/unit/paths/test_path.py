@@ -132,8 +132,8 @@ def test_started_at_moves_the_start(name, left):
     assert (later.closed, later.length) == (path.closed, pytest.approx(path.length - left, abs=1e-4))
     assert np.allclose(later.point(s), path.point(123.4 + s), atol=1e-4)
     assert np.allclose(later.kappa(s), path.kappa(123.4 + s), atol=1e-4)
-    with pytest.raises(ValueError, match=r"started_at s = -1.0 \[m\], expected 0 <= s"):
-        path.started_at(-1.0)
+    with pytest.raises(ValueError, match=r"started_at s = .* \[m\], expected 0 <= s"):
+        path.started_at(-1.0 if path.closed else path.length - 0.9)
 
 
 @pytest.mark.parametrize("name", ["paper", "genesis-rfs"])
