@@ -23,6 +23,8 @@ def test_a_film_has_its_frames_and_the_car_moves(log: Log, tmp_path: Path) -> No
             film.seek(k)
             frames.append(np.asarray(film.convert("L"), dtype=float))
     assert np.abs(frames[0] - frames[1]).mean() > 1.0
+    same = log.animate(PATH, tmp_path / "same.gif", fps=2.0, speed=1.0, wheelbase=9.0)
+    assert same.read_bytes() == file.read_bytes(), "the log knows its car"
 
 
 @pytest.mark.parametrize(
