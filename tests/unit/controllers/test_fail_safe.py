@@ -78,7 +78,7 @@ def test_what_is_no_answer_is_recoverys(
 
 @pytest.mark.parametrize(("taken", "reason"), [(0.03, 0.0), (0.031, LATE)])
 def test_a_late_answer_is_not_used(taken: float, reason: float, caplog: pytest.LogCaptureFixture) -> None:
-    times = iter((0.0, taken))
+    times = iter((1e3, 1e3 + taken))
     with caplog.at_level(logging.ERROR, logger="steerkit"):
         y = asked(FailSafe(block=FILTER, budget=0.03, clock=lambda: next(times)))
     assert (y.delta_sw, y.reason) == ((0.1, 0.0) if reason == 0.0 else (-0.2, reason))
