@@ -274,8 +274,10 @@ def test_errors_count_for_a_second() -> None:
 
 def test_arming_takes_the_next_time_stamp_for_an_undelayed_one() -> None:
     core = linked()
+    core.senses.age = lambda t, frames: 0.02
     for order, delay in ((Order.ARM, 0.0), (Order.OFF, 0.05)):
         core.senses.delay = 0.05
+        assert core.facts(5.1).pose_age == pytest.approx(0.07), "a delayed pose is older than its frame"
         core.handle(Packet(5.1, 1, encode(Command(order))))
         assert core.senses.delay == delay
 
