@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import correlate
 from scipy.special import stdtrit
 
 from steerkit._support.errors import known as known_name
@@ -417,7 +416,8 @@ class _Problem:
         drive = self.simulator.drive
         full, mask = np.zeros(len(drive.v)), np.zeros(len(drive.v))
         full[self.use], mask[self.use] = error, 1.0
-        products, counts = (correlate(a, a, method="fft")[len(a) - 1 :][: len(a) // 2] for a in (full, mask))
+        size = 2 * len(full)  # by FFT in NumPy: SciPy's signal package takes a third of a second to load
+        products, counts = (np.fft.irfft(np.abs(np.fft.rfft(a, size)) ** 2)[: len(full) // 2] for a in (full, mask))
         rho = products / np.maximum(counts, 1.0) / max(products[0] / counts[0], 1e-300)
         crossing = int(np.argmax(rho <= 0.05)) or len(rho)
         return float(drive.dt * (1.0 + 2.0 * np.sum(rho[1:crossing]))), drive.dt * crossing

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike
-from scipy.signal import bilinear, butter, resample_poly, sosfilt, sosfilt_zi, tf2sos
 
 from steerkit.metrics.signals import Array, lateral_jerk, rms, samples, step
 
@@ -26,8 +26,8 @@ def r79_acceleration(t: ArrayLike, a_y: ArrayLike) -> Array:
     values, dt = samples("r79_acceleration", a_y), step(t, "r79_acceleration", a_y)
     if dt > 0.25:
         raise ValueError(f"r79_acceleration: dt = {dt:g} s, expected <= 0.25 s for a cut-off of {R79_CUTOFF:g} Hz")
-    sos = butter(4, R79_CUTOFF, fs=1.0 / dt, output="sos")
-    filtered: Array = sosfilt(sos, values, zi=sosfilt_zi(sos) * values[0])[0]
+    sos = scipy.signal.butter(4, R79_CUTOFF, fs=1.0 / dt, output="sos")
+    filtered: Array = scipy.signal.sosfilt(sos, values, zi=scipy.signal.sosfilt_zi(sos) * values[0])[0]
     return filtered
 
 
@@ -58,7 +58,7 @@ def wd_filter(rate: float) -> Array:
         ([w2**2], [1.0, math.sqrt(2.0) * w2, w2**2]),
         ([1.0 / w3, 1.0], [1.0 / w3**2, 1.0 / (q4 * w3), 1.0]),
     )
-    return np.concatenate([tf2sos(*bilinear(b, a, rate)) for b, a in stages])
+    return np.concatenate([scipy.signal.tf2sos(*scipy.signal.bilinear(b, a, rate)) for b, a in stages])
 
 
 def weighted_acceleration(t: ArrayLike, a_y: ArrayLike) -> float:
@@ -75,6 +75,6 @@ def weighted_acceleration(t: ArrayLike, a_y: ArrayLike) -> float:
     # both ends held for 2 s: the interpolator sees no edge there, and the weighting starts at rest
     held = max(1, math.ceil(2.0 / dt))
     long = np.pad(values - values[0], held, mode="edge")
-    fine = resample_poly(long, times, 1, padtype="edge") if times > 1 else long
-    weighted = sosfilt(wd_filter(times / dt), fine)
+    fine = scipy.signal.resample_poly(long, times, 1, padtype="edge") if times > 1 else long
+    weighted = scipy.signal.sosfilt(wd_filter(times / dt), fine)
     return rms(weighted[held * times : (held + len(values)) * times])

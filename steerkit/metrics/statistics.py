@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest, bootstrap, permutation_test, wilcoxon
 
 from steerkit.metrics.signals import Array
 
@@ -42,7 +42,7 @@ def interval(values: ArrayLike, statistic: Callable[..., Any] = np.mean, *, seed
         value = float(statistic(sample))
         if len(sample) == 1 or (sample == sample[0]).all():
             return Interval(value, value, value, len(sample))
-        resampled = bootstrap((sample,), statistic, method="percentile", **_resampling(seed))
+        resampled = scipy.stats.bootstrap((sample,), statistic, method="percentile", **_resampling(seed))
     tail = 0.5 * (1.0 - CONFIDENCE)
     # from the distribution itself: between a number and "never" nothing can be interpolated
     low, high = np.quantile(resampled.bootstrap_distribution, [tail, 1.0 - tail], method="inverted_cdf")
@@ -58,7 +58,7 @@ def share(successes: ArrayLike) -> Interval:
     won = np.asarray(successes, dtype=bool)
     if won.ndim != 1 or not len(won):
         raise ValueError(f"share: successes of shape {won.shape}, expected (n,) with n >= 1")
-    low, high = binomtest(int(won.sum()), len(won)).proportion_ci(CONFIDENCE, method="wilson")
+    low, high = scipy.stats.binomtest(int(won.sum()), len(won)).proportion_ci(CONFIDENCE, method="wilson")
     return Interval(float(won.mean()), float(low), float(high), len(won))
 
 
@@ -93,12 +93,12 @@ def paired(a: ArrayLike, b: ArrayLike, *, seed: int = 0) -> Paired:
     gap = first - second
     if not gap.any():
         return Paired(difference=interval(gap, seed=seed), wins=0.5, p=1.0, p_wilcoxon=1.0)
-    test = permutation_test((gap,), np.mean, permutation_type="samples", **_resampling(seed))
+    test = scipy.stats.permutation_test((gap,), np.mean, permutation_type="samples", **_resampling(seed))
     return Paired(
         difference=interval(gap, seed=seed),
         wins=float(np.mean((gap < 0.0) + 0.5 * (gap == 0.0))),
         p=float(test.pvalue),
-        p_wilcoxon=float(wilcoxon(gap, zero_method="zsplit").pvalue),
+        p_wilcoxon=float(scipy.stats.wilcoxon(gap, zero_method="zsplit").pvalue),
     )
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike
-from scipy.signal import butter, filtfilt
 
 from steerkit.diagram.units import degrees_of
 from steerkit.metrics.signals import Array, samples, step
@@ -28,7 +28,7 @@ def reversal_rate(t: ArrayLike, delta_sw: ArrayLike, *, gap_deg: float = 3.0, cu
         )
     if not np.isfinite(angle).all():
         return float("nan")
-    smooth = filtfilt(*butter(2, cutoff, fs=1.0 / dt), angle, padlen=6)
+    smooth = scipy.signal.filtfilt(*scipy.signal.butter(2, cutoff, fs=1.0 / dt), angle, padlen=6)
     slope = np.sign(np.diff(smooth))
     turning = np.flatnonzero(slope[1:] * slope[:-1] <= 0.0) + 1
     points = smooth[np.concatenate([[0], turning])]  # the record's end is none: it may still go on
