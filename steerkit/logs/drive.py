@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import maximum_filter, uniform_filter1d
 
 from steerkit._support.errors import require
 from steerkit.diagram.simulation import Log
@@ -142,8 +142,8 @@ def standing_off(values: Array, least: float | Array) -> NDArray[np.intp]:
     other near it: of a signal with noise or in steps, hardly any."""
     beside = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     # a spoilt value moves its neighbours' middles too, by half: those next to it count for less
-    most = np.maximum(1.5 * maximum_filter(beside, footprint=[1, 0, 1], mode="constant"), least)
-    np.maximum(most, _ODD * maximum_filter(beside, footprint=_NEAR, mode="constant"), out=most)
+    most = np.maximum(1.5 * scipy.ndimage.maximum_filter(beside, footprint=[1, 0, 1], mode="constant"), least)
+    np.maximum(most, _ODD * scipy.ndimage.maximum_filter(beside, footprint=_NEAR, mode="constant"), out=most)
     return np.flatnonzero(beside > most) + 1
 
 
@@ -366,7 +366,7 @@ def _resampled(columns: dict[str, Array], dt: float, step: float) -> dict[str, A
         value = np.unwrap(value) if key == "psi" else value
         known = np.isfinite(value) if key in PLACES else np.ones(len(t), dtype=bool)
         if known.all():
-            even[key] = np.interp(clock, t, uniform_filter1d(value, width) if width >= 2 else value)
+            even[key] = np.interp(clock, t, scipy.ndimage.uniform_filter1d(value, width) if width >= 2 else value)
         elif known.any():
             even[key] = np.interp(clock, t[known], value[known])
             even[key][~np.interp(clock, t, known.astype(float)).astype(bool)] = np.nan
@@ -385,12 +385,10 @@ def _yaw_rate(
     even: dict[str, Array], measured: NDArray[np.bool_], dt: float, name: str, remarks: list[str], trusted: bool
 ) -> tuple[Array, bool]:
     """The yaw rate, with the heading's zero if there is a heading; and whether there is."""
-    from scipy.signal import savgol_filter
-
     if "psi" not in even:
         return even["r"], False
     window = max(3, 2 * round(0.5 * HEADING_WINDOW / dt) + 1)
-    slope: Array = savgol_filter(even["psi"], window, 2, deriv=1, delta=dt)
+    slope: Array = scipy.signal.savgol_filter(even["psi"], window, 2, deriv=1, delta=dt)
     if "r" not in even:
         remarks.append(f"yaw rate: slope of the heading over {window * dt:.2f} s")
         return slope, True
