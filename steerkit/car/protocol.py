@@ -160,7 +160,7 @@ def encode(message: Message) -> bytes:
 def decode(packet: bytes) -> Message:
     """The message in a packet; raises ValueError for what is none."""
     try:
-        name, *values = json.loads(packet)
+        name, *values = _field(list, json.loads(packet))
         fields = [_field(kind, value) for kind, value in zip(_FIELDS[name].values(), values, strict=True)]
         message: Message = _KINDS[name](*fields)
         return message
@@ -170,10 +170,12 @@ def decode(packet: bytes) -> Message:
 
 def _field(kind: Any, value: Any) -> Any:
     """The value of a field of that type; raises ValueError, TypeError or OverflowError for another."""
-    if kind in (float, Mode, Order):
+    if kind in (Mode, Order):
         return kind(value)
-    if kind == tuple[float, ...]:
-        return tuple(float(number) for number, _ in zip(value, 3 * ESTIMATES, strict=True))
-    if type(value) is not kind:
+    if kind is float and type(value) is int:
+        return float(value)
+    if kind == tuple[float, ...] and type(value) is list:
+        return tuple(_field(float, number) for number, _ in zip(value, 3 * ESTIMATES, strict=True))
+    if type(value) is not kind or (kind is int and not 0 <= value < 1 << 32):
         raise TypeError(f"{value!r} is no {kind.__name__}")
     return value

@@ -53,12 +53,13 @@ def test_strange_packets_are_value_errors(packet: bytes) -> None:
 
 
 REQUEST = json.loads(encode(Request(1.5, -0.25, 7)))
+FOUND = [1.0 / (k + 3) for k in range(3 * len(ESTIMATES))]
 STRANGE: list[Any] = [
-    *([], 3, {}, None, ["Reqest", *REQUEST[1:]], REQUEST[:-1], [*REQUEST, 1.0]),
-    *(["Request", value, 0.0, 0] for value in ("x", None, [], {}, 10**400)),
-    *(["Request", 0.0, 0.0, value] for value in (1.5, True, "1", None)),
+    *([], 3, {}, {"Query": 1}, None, ["Reqest", *REQUEST[1:]], REQUEST[:-1], [*REQUEST, 1.0]),
+    *(["Request", value, 0.0, 0] for value in ("x", "1.5", "nan", True, None, [], {}, 10**400)),
+    *(["Request", 0.0, 0.0, value] for value in (1.5, True, "1", None, -1, 1 << 32, 10**4299)),
     *([["Command", "FASTER"], ["Command", []], ["Remark", 1], ["Hello", 1, 4, ""], ["Hello", True, 4, None]]),
-    *(["Estimates", value] for value in ([0.0] * (3 * len(ESTIMATES) - 1), [0.0] * (3 * len(ESTIMATES) + 1), 1.0)),
+    *(["Estimates", value] for value in (FOUND[1:], [*FOUND, 0.0], 1.0, "1" * len(FOUND), [*FOUND[1:], True])),
 ]
 
 
@@ -69,7 +70,6 @@ def test_what_is_json_and_no_message_is_a_value_error(packet: str) -> None:
 
 
 def test_estimates_are_named_in_their_order() -> None:
-    numbers = tuple(1.0 / (k + 3) for k in range(3 * len(ESTIMATES)))
-    named = Estimates(numbers).named()
+    named = Estimates((*FOUND,)).named()
     assert [*named][:4] == ["delay", "delay_deviation", "delay_valid", "lag"]
-    assert (*named.values(),) == numbers
+    assert [*named.values()] == FOUND
