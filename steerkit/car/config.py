@@ -359,7 +359,7 @@ def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
     try:
         text = path.read_text(encoding="utf-8")
         data = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: cannot be read as TOML ({error})") from error
     for name in ("can", "cantools"):
         if importlib.util.find_spec(name) is None:
@@ -682,8 +682,8 @@ class Reading:
         if value is None:
             self.wrong(f"[{where}] {key}: missing, expected {_KINDS[kind]}")
             return kind()
-        numeric = kind is float and isinstance(value, int) and not isinstance(value, bool)
-        if not (isinstance(value, kind) or numeric) or (kind in (int, float) and isinstance(value, bool)):
+        whole = type(value) is int and abs(value) < 1 << 63  # TOML knows no larger ones
+        if not (whole if kind is int else isinstance(value, kind) or (kind is float and whole)):
             self.wrong(f"[{where}] {key} = {value!r}, expected {_KINDS[kind]}")
             return kind()
         return float(value) if kind is float else value
