@@ -285,6 +285,7 @@ def _whole_rows(columns: dict[str, Array], name: str, remarks: list[str]) -> dic
         _keep(columns, finite)
     t = columns["t"]
     stray = standing_off(t, max(5.0 * float(np.median(np.abs(np.diff(t)))), 0.25))  # of a spoilt digit, say
+    stray = stray[(t[stray] - t[stray - 1]) * (t[stray + 1] - t[stray]) < 0.0]  # not one at a gap near an end
     if len(stray):
         remarks.append(f"dropped {len(stray)} rows whose time is far from that of the rows around them")
         _keep(columns, np.delete(np.arange(len(t)), stray))

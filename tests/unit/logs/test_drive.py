@@ -117,6 +117,8 @@ def test_a_row_whose_time_was_spoilt_is_left_out_not_sorted(off: float, clean: d
     assert any("dropped 1 rows whose time is far" in note for note in drive.notes)
     assert len(drive.v) == len(same.v)
     np.testing.assert_allclose(drive.delta_sw, same.delta_sw, atol=0.02)
+    later = by_rate(clean) | {"t": np.append(clean["t"][:-1], clean["t"][-1] + 9.0)}  # a pause before the last row
+    assert not any("time is far" in note for note in Drive.of(later).notes)
 
 
 def test_where_the_car_was_comes_along(clean: dict[str, Any]) -> None:
