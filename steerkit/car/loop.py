@@ -159,8 +159,8 @@ class Steers:
         """What `text` wrote; raises ValueError for anything else."""
         try:
             return cls(**json.loads(text))
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"remark {text!r}: not who steers ({error})") from error
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ValueError(f"remark {text[:2000]!r}: not who steers ({error})") from error
 
 
 BUDGET = 0.03

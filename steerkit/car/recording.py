@@ -310,7 +310,7 @@ class Recorded(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Was the file closed properly, and is every byte as it was written? Otherwise a repair does it good."""
+        """Was the file closed properly, and does all that is read fit its sums? Otherwise a repair does it good."""
         return not self.in_use and not any(gap.end > gap.begin or gap.before is None for gap in self.gaps)
 
     @property
@@ -436,7 +436,7 @@ def _chunk(data: bytes, at: int) -> tuple[int, list[Message]]:
         return at, []
     try:
         return end, _messages(records)
-    except (struct.error, ValueError, TypeError, LookupError, AttributeError):
+    except (struct.error, ValueError, TypeError, LookupError, AttributeError, OverflowError, RecursionError):
         return at, []  # a good sum of what is none of ours
 
 
@@ -450,7 +450,7 @@ def _messages(records: bytes) -> list[Message]:
             channel, number, when, _ = _MESSAGE.unpack_from(records, at)
             data = records[at + _MESSAGE.size : end]
             values = {key: _value(value) for key, value in json.loads(data.decode()).items()}
-            float(values["t"])  # every message has one
+            values["t"] + 0.0  # every message has one
             messages.append(Message(TOPICS[channel - 1], values, number, when, data))
         at = end
     return messages

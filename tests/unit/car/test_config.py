@@ -122,11 +122,7 @@ MISTAKES = [
         'enable = "EN" -> enable = "CLEAR"',
         'clear = "CLEAR"  -> clear = "EN" ',
     ),
-    (
-        "[write] alert = 'EN' is named like enable",
-        'enable = "EN" -> enable = "ALERT"',
-        'alert = "ALERT"  -> alert = "EN" ',
-    ),
+    ("[write] alert = 'EN' is named like enable", '= "EN" -> = "ALERT"', 'alert = "ALERT"  -> alert = "EN" '),
     ("[write] enable = 'IGNORE' switches a protection of the kit off", 'enable = "EN" -> enable = "IGNORE"'),
     ("[write] clear = 'IGNORE' switches a protection of the kit off", 'clear = "CLEAR" -> clear = "IGNORE"'),
     ("[write] alert = 'CAL' switches a protection of the kit off", 'alert = "ALERT" -> alert = "CAL"'),

@@ -144,7 +144,8 @@ def test_noise_is_no_recording(noise: bytes, head: int, tail: bool) -> None:
 
 
 def test_a_good_sum_of_what_is_none_of_ours_is_left_out() -> None:
-    for text in (b"[1]", b"nonsense", b'{"t":"x"}', b'{"u":1}', b"\xff"):
+    deep, long = b'{"t":' + b"[" * 5000, b'{"t":1' + b"0" * 400 + b"}"
+    for text in (b"[1]", b"nonsense", b'{"t":"x"}', b'{"t":"1.5"}', b'{"u":1}', b"\xff", deep, long):
         record = struct.pack("<BQHIQQ", 5, 22 + len(text), 1, 0, 1, 1) + text
         head = struct.pack("<BQQQQIIQ", 6, 40 + len(record), 1, 1, len(record), zlib.crc32(record), 0, len(record))
         with pytest.raises(ValueError, match="no recording of steerkit"):
