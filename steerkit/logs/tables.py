@@ -74,7 +74,8 @@ def _table(path: Path, lines: Iterator[str], notes: list[str]) -> Table:
     head = next(lines, "").rstrip("\r\n")
     mark = max(";\t,", key=lambda c: (head.count(c), c == ";"))
     names = [name.strip() for name in _cells(head, mark)]
-    numbers = head and np.isfinite([_number(name) for name in names]).all()
+    require(names, str(path), "no rows under a row of names")
+    numbers = np.isfinite([_number(name) for name in names]).all()
     require(not numbers, str(path), f"the first row holds numbers ({head[:60]}), no names")
     require(len(set(names)) == len(names), str(path), f"two columns of one name: {', '.join(names)}")
     values, odd, last = array("d"), 0, False  # as text all of it would take many times the memory
