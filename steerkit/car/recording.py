@@ -24,7 +24,7 @@ import tomllib
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -248,7 +248,12 @@ def _plain(value: Any) -> Any:
 def _versions() -> dict[str, str]:
     """Of all that a replay's numbers come from."""
     versions = {"python": platform.python_version(), "machine": platform.platform()}
-    return versions | {name: version(name) for name in _PACKAGES}
+    for name in _PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:  # a checkout on the path
+            versions[name] = "not installed"
+    return versions
 
 
 def described(config: CarConfig, path: Path, time_scale: float = 1.0) -> dict[str, str]:
