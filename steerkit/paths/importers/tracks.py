@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path as FilePath
 from typing import Any
@@ -118,7 +119,7 @@ def geojson(file: str) -> list[Track]:
     kind, crs, tracks = "", "CRS84", list[Track]()
     try:
         with FilePath(file).open("rb") as stream:
-            for prefix, _, found in ijson.parse(stream, buf_size=_CHUNK):
+            for prefix, _, found in ijson.parse(_shallow(ijson.basic_parse(stream, use_float=True, buf_size=_CHUNK))):
                 kind = found if prefix == "type" else kind
                 crs = found if prefix == "crs.properties.name" else crs
             require(kind in _GEO, file, f"type {kind!r}, expected GeoJSON: {', '.join(_GEO)}")
@@ -138,14 +139,25 @@ def geojson(file: str) -> list[Track]:
 
 _GEO = ("FeatureCollection", "Feature", "GeometryCollection", "LineString", "MultiLineString")
 _CHUNK = 1 << 12
+_DEEPEST = 40
+
+
+def _shallow(events: Iterable[tuple[str, Any]]) -> Iterator[tuple[str, Any]]:
+    """The events; ValueError where brackets within each other would take memory by the square of their number."""
+    depth = 0
+    for event, found in events:
+        depth += event.startswith("start") - event.startswith("end")
+        if depth > _DEEPEST:
+            raise ValueError(f"more than {_DEEPEST} brackets within each other: no GeoJSON")
+        yield event, found
 
 
 def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Track]:
     """The lines of a feature, or of a geometry alone, with its name and times."""
     geometry = feature.get("geometry", feature) or {}
     parts = geometry.get("geometries", [geometry])
-    lines = [part["coordinates"] for part in parts if part["type"] == "LineString"]
-    lines += [line for part in parts if part["type"] == "MultiLineString" for line in part["coordinates"]]
+    lines = [part["coordinates"] for part in parts if part.get("type") == "LineString"]
+    lines += [line for part in parts if part.get("type") == "MultiLineString" for line in part["coordinates"]]
     about = feature.get("properties") or {}
     base = str(about.get("name") or feature.get("id") or about.get("id") or len(before)).replace(",", " ")
     times = about.get("coordTimes") or about.get("times") or about.get("coordinateProperties", {}).get("times") or []
@@ -159,7 +171,7 @@ def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Tra
         points.reverse()
         while points:
             point = points.pop()  # not held twice
-            good = len(point) >= 2 and all(isinstance(x, int | float) and math.isfinite(x) for x in point)
+            good = len(point) >= 2 and all(type(x) in (int, float) and math.isfinite(x) for x in point)
             require(good, "coordinates", f"a position {point}, expected longitude and latitude, as numbers")
             a, b = point[:2] if flat else point[1::-1]
             track.add(a, b, stamps.pop())

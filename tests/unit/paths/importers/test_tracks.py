@@ -50,27 +50,21 @@ def test_geojson_lines(tmp_path: FilePath) -> None:
     assert np.diff(timed.t) == pytest.approx(1.0)
 
 
+LINE = {"coordinates": [[8, 52], [9, 52]], "type": "LineString"}
+FEATURES = [
+    {"type": "Feature", "id": 7, "geometry": LINE},
+    {"type": "Feature", "geometry": {"type": "Point", "coordinates": [8, 52]}, "properties": None},
+    {"type": "Feature", "geometry": None},
+    {"type": "Feature", "properties": {"name": "x", "coordinates": [1, 2, 3], "type": "Polygon"}, "geometry": LINE},
+]
+
+
 @pytest.mark.parametrize(
     ("text", "names"),
     [
         ({"type": "LineString", "coordinates": [[8, 52], [8.1, 52], [8.2, 52, 70]]}, ["0"]),
         ({"type": "MultiLineString", "coordinates": [[[8, 52], [8.1, 52]], [[9, 52], [9.1, 52]]]}, ["0.0", "0.1"]),
-        (
-            {
-                "type": "FeatureCollection",
-                "name": "layer",
-                "features": [
-                    {"type": "Feature", "id": 7, "geometry": {"coordinates": [[8, 52], [9, 52]], "type": "LineString"}},
-                    {"type": "Feature", "geometry": {"type": "Point", "coordinates": [8, 52]}, "properties": None},
-                    {
-                        "type": "Feature",
-                        "properties": {"name": "x", "coordinates": [1, 2, 3], "type": "Polygon"},
-                        "geometry": {"type": "LineString", "coordinates": [[8, 52], [9, 52]]},
-                    },
-                ],
-            },
-            ["7", "x"],
-        ),
+        ({"type": "FeatureCollection", "name": "layer", "features": FEATURES}, ["7", "x"]),
     ],
 )
 def test_geojson_of_other_shapes(text: object, names: list[str], tmp_path: FilePath) -> None:
@@ -88,7 +82,9 @@ def test_geojson_of_other_shapes(text: object, names: list[str], tmp_path: FileP
         ('{"type": "Polygon", "coordinates": [[[8, 52], [9, 52]]]}', "type 'Polygon', expected GeoJSON: Feature"),
         ('{"type": "LineString", "coordinates": [[8, "52"]]}', "a position .8, '52'., expected longitude and latitude"),
         ('{"type": "LineString", "coordinates": [[8], [9]]}', "a position .8., expected longitude and latitude"),
-        ('{"a": ' * 60 + "1" + "}" * 60, "type '', expected GeoJSON"),
+        ('{"a": ' * 60 + "1" + "}" * 60, "more than 40 brackets"),
+        ('{"type": "LineString", "coordinates": [[true, 52]]}', "a position .True, 52., expected longitude"),
+        (f'{{"type": "LineString", "coordinates": [[{"9" * 5000}, 52]]}}', "no JSON, damaged or cut off"),
     ],
 )
 def test_what_is_no_geojson_is_refused(text: str, message: str, tmp_path: FilePath) -> None:
