@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -159,7 +159,7 @@ def opendrive(file: str) -> Map:
             lane=str(lane.number),
             length=section.end - section.s,
             next=tuple(_next(road, k, lane, roads, junctions)),
-            line=partial(road.centre, section, lane),
+            line=functools.partial(road.centre, section, lane),
             about=lane.kind,
         )
         for road in roads.values()
@@ -266,12 +266,12 @@ def _local(node: Element, length: float) -> Callable[[Array], tuple[Array, Array
         k0, k1 = [number(node, key) for key in keys] or (0.0, 0.0)
         turns = max(abs(k0), abs(k1)) * length
         require(turns <= _MOST_TURN, shown(node), f"turns by {turns:.3g} rad, which no road does")
-        return partial(spiral, length, k0, k1)
+        return functools.partial(spiral, length, k0, k1)
     if node.tag == "poly3":
-        return partial(poly3, length, _coefficients(node, "abcd"))
+        return functools.partial(poly3, length, _coefficients(node, "abcd"))
     if node.tag == "paramPoly3":
         u, v = (_coefficients(node, [f"{c}{axis}" for c in "abcd"]) for axis in "UV")
-        return partial(param_poly3, 1.0 if get(node, "pRange", "normalized") == "arcLength" else length, u, v)
+        return functools.partial(param_poly3, 1.0 if get(node, "pRange", "normalized") == "arcLength" else length, u, v)
     return None
 
 
@@ -399,6 +399,7 @@ class Shape:
         return self.x0 + u * c - v * s, self.y0 + u * s + v * c, self.psi0 + heading
 
 
+@functools.cache
 def _rule(panels: int) -> tuple[Array, Array]:
     """Nodes and weights of Gauss and Legendre's rule over 0 to 1, with 16 nodes on each panel."""
     nodes, weights = np.polynomial.legendre.leggauss(16)
@@ -415,9 +416,16 @@ def spiral(length: float, k0: float, k1: float, d: Array) -> tuple[Array, Array,
     changes, where Fresnel integrals cancel.
     """
     rate = (k1 - k0) / length if length > 0.0 else 0.0
-    places, weights = _rule(max(1, math.ceil(max(abs(k0), abs(k1)) * length)))
-    at = d[:, None] * places
-    z = d * (np.exp(1j * at * (k0 + 0.5 * rate * at)) @ weights)
+    places, weights = _rule(1)
+
+    def over(begin: Array, d: Array) -> Array:
+        at = begin[:, None] + d[:, None] * places
+        return d * (np.exp(1j * at * (k0 + 0.5 * rate * at)) @ weights)
+
+    ends = np.linspace(0.0, length, 1 + max(1, math.ceil(max(abs(k0), abs(k1)) * length)))
+    panel = np.clip(np.searchsorted(ends, d, side="right") - 1, 0, len(ends) - 2)
+    before = np.append(0.0, np.cumsum(over(ends[:-1], np.diff(ends))))
+    z = before[panel] + over(ends[panel], d - ends[panel])
     return z.real, z.imag, d * (k0 + 0.5 * rate * d)
 
 

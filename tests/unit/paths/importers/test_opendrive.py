@@ -1,6 +1,7 @@
 """OpenDRIVE maps: lanes beside a reference line, links, junctions, both hands, and what is told and not used."""
 
 import math
+import tracemalloc
 from functools import partial
 from itertools import pairwise
 from pathlib import Path as FilePath
@@ -179,6 +180,15 @@ def test_an_arc_is_a_part_of_a_circle(k: float) -> None:
     exact_v = 2.0 * np.sin(0.5 * k * d) ** 2 / k if k else 0.0 * d
     assert np.abs(u - exact_u).max() < EXACT
     assert np.abs(v - exact_v).max() < EXACT
+
+
+def test_a_long_spiral_takes_no_more_memory_for_its_turns() -> None:
+    d, k = np.linspace(0.0, 2e5, 2001), 9e-4
+    tracemalloc.start()
+    u, _, _ = spiral(2e5, k, k, d)
+    assert tracemalloc.get_traced_memory()[1] < 5e6
+    tracemalloc.stop()
+    assert np.abs(u - np.sin(k * d) / k).max() < 1e-8
 
 
 @pytest.mark.parametrize(("k0", "k1"), [(0.0, 0.2), (0.1, -0.1), (0.05, 0.05 + 1e-9), (-0.02, 0.3), (1e-9, -1e-9)])
