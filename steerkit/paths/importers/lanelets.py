@@ -213,6 +213,7 @@ def _chained(names: list[str], data: _Osm, where: str) -> list[int]:
     require(names, where, "no left or no right bound")
     for name in names:
         require(name in data.ways, where, f"its bound, way {name}, is not in the file")
+        require(data.ways[name][0], where, f"its bound, way {name}, has no nodes")
     nodes, *parts = (data.ways[name][0].tolist() for name in names)
     while parts:
         k = next((k for k, p in enumerate(parts) if {p[0], p[-1]} & {nodes[0], nodes[-1]}), -1)

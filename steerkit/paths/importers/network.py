@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -144,9 +145,9 @@ class Map:
 
     def _shortest(self, first: str, goals: set[str], where: str, goal: str) -> list[str]:
         """Dijkstra's shortest route, by the length of what is driven before its last piece."""
-        queue, done = [(0.0, [first])], set[str]()
+        queue, done, pushed = [(0.0, 0, [first])], set[str](), itertools.count(1)
         while queue:
-            cost, names = heapq.heappop(queue)
+            cost, _, names = heapq.heappop(queue)  # of routes as long, the one found first
             if len(names) > 1 and names[-1] in goals:
                 return names
             if names[-1] not in done or len(names) == 1:
@@ -154,7 +155,7 @@ class Map:
                 cost += self.pieces[names[-1]].length
                 for after in self._after(names[-1]):
                     if after in goals or after not in done:
-                        heapq.heappush(queue, (cost, [*names, after]))
+                        heapq.heappush(queue, (cost, next(pushed), [*names, after]))
         reached = sorted({self.pieces[name].group for name in done})
         some = ", ".join(reached[:_LISTED]) + (" ..." if len(reached) > _LISTED else "")
         raise ValueError(f"{where}: no route leads to {self.kind} {goal}: not connected; what can be reached: {some}")

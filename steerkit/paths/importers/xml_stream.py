@@ -34,7 +34,7 @@ def value(node: Element) -> float:
 def shown(node: Element) -> str:
     """How an element begins, for messages."""
     attributes = "".join(f' {key}="{text}"' for key, text in node.items())
-    return f"<{node.tag}{attributes[:80]}>"
+    return f"<{' '.join((node.tag + attributes[:80]).split())}>"
 
 
 def _number(text: str, where: str) -> float:

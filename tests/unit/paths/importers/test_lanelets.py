@@ -123,6 +123,9 @@ def test_ways_meet_at_nodes_and_run_both_ways_unless_told(tmp_path: FilePath) ->
     assert made.v_limit[0] == pytest.approx(20 * 0.44704)
     with pytest.raises(ValueError, match="no route leads to way 11: not connected; what can be reached: 13"):
         read_course(f"{file}#way=13,to=11")
+    two = osm(str(osm_file(file, way(11, 1, 2, 3, highway="road"), way(12, 5, 2, highway="road"))))
+    line, *_ = two.route({"way": "12", "to": "11"}, "")  # both ways are as near: as it was drawn
+    assert line.xy[-1, 0] > 59.0
 
 
 @pytest.mark.parametrize(
@@ -132,6 +135,7 @@ def test_ways_meet_at_nodes_and_run_both_ways_unless_told(tmp_path: FilePath) ->
         ((way(11, 1, 2, highway="footway"),), "holds neither lanelets nor ways for cars"),
         ((relation(21, 11, 12),), "its bound, way 11, is not in the file"),
         ((way(11, 1, 2), way(12, 4, 5), relation(21, 11, 99)), "its bound, way 99, is not in the file"),
+        ((way(11, 1, 2), way(12), way(13, 4, 5), relation(21, 11, 12)), "its bound, way 12, has no nodes"),
         (('<node id="x" lat="1" lon="2"/>',), "id = 'x', expected a whole number"),
         (('<node id="9" lat="91" lon="2"/>', way(11, 1, 9, highway="road")), "expected -90..90"),
     ],
@@ -144,7 +148,6 @@ def test_maps_that_lack_something_are_refused(parts: tuple[str, ...], message: s
 def test_an_xml_file_is_known_by_its_first_element(tmp_path: FilePath) -> None:
     file = tmp_path / "a.xml"
     file.write_text("<svg/>")
-    with pytest.raises(
-        ValueError, match="its first element is <svg>, expected one of <commonRoad>, <osm>, <OpenDRIVE>"
-    ):
+    told = "its first element is <svg>, expected one of <commonRoad>, <osm>, <OpenDRIVE>"
+    with pytest.raises(ValueError, match=told):
         contents(str(file))

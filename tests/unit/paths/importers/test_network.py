@@ -66,9 +66,8 @@ def test_other_choices_are_refused(choice: dict[str, str], message: str) -> None
 
 def test_pieces_that_do_not_meet_are_refused_and_small_gaps_told() -> None:
     gap = town(b=piece("b", (41, 0), (60, 10), "c"))
-    with pytest.raises(
-        ValueError, match=r"a gap of 1 m between way a and way b, at \(41.0, 0.0\) \[m\]: not connected"
-    ):
+    told = r"a gap of 1 m between way a and way b, at \(41.0, 0.0\) \[m\]: not connected"
+    with pytest.raises(ValueError, match=told):
         gap.route({"way": "a", "to": "c"}, "town")
     small = town(b=piece("b", (40.5, 0), (60, 10), "c"))
     _, _, notes = small.route({"way": "a", "to": "c"}, "town")
