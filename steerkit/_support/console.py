@@ -6,7 +6,6 @@ import sys
 from typing import Any
 
 from rich.console import Console
-from rich.progress import track
 
 console = Console() if Console().is_terminal else Console(width=110)
 """With `stderr` set, all that is for people goes there."""
@@ -14,4 +13,8 @@ console = Console() if Console().is_terminal else Console(width=110)
 
 def shown(steps: Any, what: str) -> Any:
     """The steps, with a bar of that name on the terminal, if there is one and a name."""
-    return track(steps, description=what, transient=True) if what and sys.stderr.isatty() else steps
+    if not what or not sys.stderr.isatty():
+        return steps
+    from rich.progress import track
+
+    return track(steps, description=what, transient=True)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit._support.console import shown
 from steerkit._support.errors import require
 from steerkit._support.files import atomic_write, read_npz, write_npz, write_text
 from steerkit.diagram.block import Port
@@ -239,10 +238,14 @@ def simulate(
     start = loop.init(batch=batch) if state is None else state
     recorder = Recorder(loop, record)
     x, y = list(start.x), list(start.y)
-    ticks = range(start.k, start.k + max(1, round(duration / loop.dt)))
+    ticks: Any = range(start.k, start.k + max(1, round(duration / loop.dt)))
+    if progress:
+        from steerkit._support.console import shown
+
+        ticks = shown(ticks, "simulate")
     k = start.k
     try:
-        for k in shown(ticks, "simulate" if progress else ""):
+        for k in ticks:
             loop.advance(k, x, y)
             if k == start.k:
                 loop.check(start.x, x)
