@@ -9,6 +9,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
+import matplotlib.style
 import numpy as np
 import pytest
 from matplotlib.collections import Collection
@@ -132,8 +133,10 @@ def numbers(thing: Any) -> list[float]:
     return [len(x), x.min(), x.max(), x.mean(), np.mean(np.linspace(0.0, 1.0, len(x)) * x)] if len(x) else []
 
 
-def summary(figure: Any) -> dict[str, list[float]]:
-    """Of the figure, its panels and all artists that look alike: words, and numbers."""
+@matplotlib.style.context("default")
+def summary(draw: Callable[[], Any]) -> dict[str, list[float]]:
+    """Of the figure drawn, its panels and all artists that look alike: words, and numbers."""
+    figure = draw()
     found: dict[str, list[float]] = {"figure": [*figure.get_size_inches(), figure.dpi]}
     for n, axes in enumerate(figure.axes):
         tick, left = axes.xaxis.get_major_ticks(1)[0], axes.spines["left"].get_linewidth()
@@ -150,12 +153,12 @@ def summary(figure: Any) -> dict[str, list[float]]:
 
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_picture_shows_what_it_showed(name: str) -> None:
-    found, expected = summary(PICTURES[name]()), json.loads(GOLDEN.read_text(encoding="utf-8"))[name]
+    found, expected = summary(PICTURES[name]), json.loads(GOLDEN.read_text(encoding="utf-8"))[name]
     assert list(found) == list(expected)
     for key, values in expected.items():
         assert found[key] == pytest.approx(values, rel=1e-6, abs=1e-8), key
 
 
 if __name__ == "__main__":
-    text = json.dumps({name: summary(draw()) for name, draw in PICTURES.items()})
+    text = json.dumps({name: summary(draw) for name, draw in PICTURES.items()})
     GOLDEN.write_text(text.replace('], "', '],\n"') + "\n", encoding="utf-8")
