@@ -6,7 +6,6 @@ import codeop
 import functools
 import importlib
 import importlib.util
-import os
 import re
 import runpy
 import shutil
@@ -34,11 +33,6 @@ ROW = re.compile(r"^\| .* \| (?:yes|no) \| .*\|$", re.M)
 
 def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
-
-
-def run_in(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "MPLBACKEND": "agg", "COLUMNS": "120"}
-    return subprocess.run(words, cwd=folder, capture_output=True, text=True, env=environment)
 
 
 # the gallery's page is made of its scripts, which run below
@@ -130,9 +124,8 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_files_and_names_of_the_package_that_are_named_are_there(page: Path) -> None:
     for code in re.findall(r"`([^`\n]+)`", page.read_text(encoding="utf-8")):
-        if re.fullmatch(r"(steerkit|benchmarks|tests|docs|examples)/[\w./-]+", code) and not re.search(
-            "NAME|/X/", code
-        ):
+        file = re.fullmatch(r"(steerkit|benchmarks|tests|docs|examples)/[\w./-]+", code)
+        if file and not re.search("NAME|/X/", code):
             assert (ROOT / code.partition("::")[0]).exists(), code
         if name := re.match(r"(steerkit(?:\.\w+)+)(?:\(|$)", code):
             assert found_in_the_package(name[1]), code
@@ -168,9 +161,7 @@ def test_the_gallery_page_is_made_of_the_scripts_and_no_script_is_left_out() -> 
     shown = [ast.dump(ast.parse(text)) for language, text in blocks(GALLERY) if language == "python"]
     # all of a script but its docstring
     whole = [ast.parse((maker.SCRIPTS / f"{name}.py").read_text("utf-8")) for name in maker.ORDER]
-    assert shown == [ast.dump(ast.Module(tree.body[1:], [])) for tree in whole], (
-        "not all of a script, but its docstring"
-    )
+    assert shown == [ast.dump(ast.Module(tree.body[1:], [])) for tree in whole], "not all, but its docstring"
     assert all(len((maker.SCRIPTS / f"{name}.py").read_text("utf-8").splitlines()) <= 45 for name in scripts)
 
 
@@ -206,7 +197,8 @@ def test_the_search_finds_words_where_pages_are_opened_from_the_disk(tmp_path: P
         (tmp_path / "docs" / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / "docs" / name, tmp_path / "docs" / name)
     (tmp_path / "docs" / "index.md").write_text("# Animals\n\n## Striped\n\nA zebra.\n", encoding="utf-8")
-    done = run_in(tmp_path, sys.executable, "-m", "mkdocs", "build", "--quiet")
+    build = [sys.executable, "-m", "mkdocs", "build", "--quiet"]
+    done = subprocess.run(build, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert BROWSER is not None
     options = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--virtual-time-budget=8000")

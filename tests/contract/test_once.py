@@ -2,11 +2,10 @@
 
 import re
 from functools import cache
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support.places import ROOT
 
 FILES = "steerkit/_support/files.py"
 ONCE: dict[str, tuple[str, str | None]] = {
