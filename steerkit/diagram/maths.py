@@ -1,7 +1,7 @@
 """The functions that equations are written with: one formula for every backend.
 
-Each function takes Python floats (fast, by `math`), NumPy arrays (a batch of cars) or CasADi symbols
-(tracing, gradients, C code). Equations use these and plain arithmetic, `where` instead of `if`, and nothing else.
+Each function takes Python floats (fast, by `math`), NumPy arrays (a batch of cars) or symbols
+(a trace's for C, CasADi's for gradients). Equations use these and plain arithmetic, `where` for `if`, nothing else.
 Neither NumPy's dispatch nor CasADi is paid for when the arguments are floats.
 """
 
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 Scalar = Any
-"""A float, an `(N,)` array (one entry a car) or a CasADi symbol."""
+"""A float, an `(N,)` array (one entry a car) or a symbol, of a trace or of CasADi."""
 
 pi = math.pi
 

@@ -33,12 +33,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @sources
 def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path) -> None:
-    here = {
-        str(file.relative_to(ROOT))
-        for package in PACKAGES
-        for file in (ROOT / package).rglob("*")
-        if file.is_file() and "__pycache__" not in file.parts
-    }
+    files = [file for package in PACKAGES for file in (ROOT / package).rglob("*") if file.is_file()]
+    here = {str(file.relative_to(ROOT)) for file in files if "__pycache__" not in file.parts}
     inside = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert inside == here
     assert {"steerkit/py.typed", "steerkit/paths/courses/genesis.csv", "benchmarks/report/report.html.j2"} <= inside
