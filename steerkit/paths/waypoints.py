@@ -42,7 +42,7 @@ def read_columns(text: str, where: str) -> dict[str, Array]:
     for k, line in lines:
         numbers = _numbers(_cells(line))
         if numbers is None or len(numbers) != len(names):
-            raise ValueError(f"{where}: line {k} is {line!r}, expected {len(names)} numbers ({','.join(names)})")
+            raise ValueError(f"{where}: line {k} is {line[:200]!r}, expected {len(names)} numbers ({','.join(names)})")
         values.extend(numbers)
     if not values:
         raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
@@ -50,7 +50,10 @@ def read_columns(text: str, where: str) -> dict[str, Array]:
 
 
 def _cells(line: str) -> list[str]:
-    return next(csv.reader([line]), [])
+    try:
+        return next(csv.reader([line]), [])
+    except csv.Error:  # a cell beyond csv's limit of 131,072 characters
+        return [line]
 
 
 def _numbers(cells: list[str]) -> list[float] | None:

@@ -164,6 +164,7 @@ def test_a_csv_file_may_hold_latitudes(tmp_path):
         ("a,b\n1,2\n3,4\n", r"columns a, b; valid: x, y \[m\] or lat, lon \[degrees\]"),
         ("# c\nx,y\n1,2\n3,oops\n", r"line 4 is '3,oops', expected 2 numbers \(x,y\)"),
         ("x,y\n1,2,3\n", r"line 2 is '1,2,3', expected 2 numbers"),
+        ("x,y\n" + 200_000 * "7" + ",1\n", "line 2 is .7{200}., expected 2 numbers"),
     ],
 )
 def test_what_is_wrong_with_a_csv_file_is_said(text, message, tmp_path):
