@@ -15,20 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 P = ParamSpec("P")
-PALETTE = (
-    "#1f6fa8",
-    "#d2691e",
-    "#3a8258",
-    "#8a5aa8",
-    "#b8445a",
-    "#7a6a53",
-    "#2a9d9d",
-    "#a98a1d",
-    "#5b6f95",
-    "#c0579a",
-    "#6f9a2d",
-    "#455a64",
-)
+_CYCLE = "#1f6fa8 #d2691e #3a8258 #8a5aa8 #b8445a #7a6a53 #2a9d9d #a98a1d #5b6f95 #c0579a #6f9a2d #455a64"
+PALETTE = tuple(_CYCLE.split())
 """Colours for one thing beside another, in this order."""
 
 COLOURS = {
