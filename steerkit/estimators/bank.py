@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
-from steerkit._support.errors import number, require, whole_samples
+from steerkit._support.errors import number, require, require_within, whole_samples
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, State
 from steerkit.diagram.maths import Scalar
@@ -178,6 +178,7 @@ class Bank(Block):
     def __post_init__(self) -> None:
         super().__post_init__()
         where = type(self).__name__
+        require_within(where, "dt", self.dt, "s", 1e-3, self.correlated)
         longest = whole_samples(where, "longest", self.longest, self.dt)
         require(2 <= longest <= 100, where, f"longest = {self.longest} [s], expected 2 to 100 samples of {self.dt:g} s")
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit._support.errors import number, require, whole_samples
+from steerkit._support.errors import number, require, require_within, whole_samples
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
@@ -133,6 +133,7 @@ class SingleTrackFilter(Block):
         super().__post_init__()
         where = "SingleTrackFilter"
         require_vehicle(self.vehicle, where)
+        require_within(where, "dt", self.dt, "s", 1e-3, _CORRELATED)
         longest = whole_samples(where, "longest", self.longest, self.dt)
         require(1 <= longest <= 100, where, f"longest = {self.longest} [s], expected 1 to 100 samples of {self.dt:g} s")
 

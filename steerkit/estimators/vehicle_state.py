@@ -57,9 +57,6 @@ _UNHEARD = 2.0
 """How fast it may turn while its angle is not heard [rad/s]."""
 
 
-# ---- measurements by their age
-
-
 class Measured(NamedTuple):
     """What was measured within half a sample of a time, NaN where nothing was."""
 
@@ -111,8 +108,6 @@ def turned_on(before: Scalar, held: Scalar, zero: Scalar, heard: Scalar) -> tupl
     start, zero = m.where(back, after, before), m.where(back, zero + before - after, zero)
     return start, after, zero, missing, m.where(back, 1.0, missing)
 
-
-# ---- the motion of a sample
 
 Rhs = Callable[[Sequence[Scalar], Scalar, Scalar], Sequence[Scalar]]
 """(x', y', psi', sway', r') = rhs((x, y, psi, sway, r), delta, v): a plant's own, on floats, batches and symbols."""
@@ -206,9 +201,6 @@ def course(rhs: Rhs, sway: Scalar, r: Scalar, delta: Scalar, v: Scalar) -> tuple
     """Speed of the centre of gravity [m/s] and sideslip [rad] of a car with this sway, whatever `rhs` calls sway."""
     ahead, aside, *_ = rhs((0.0 * v, 0.0 * v, 0.0 * v, sway, r), delta, v)
     return m.sqrt(ahead * ahead + aside * aside), m.atan2(aside, ahead)
-
-
-# ---- the filter
 
 
 class Memory(NamedTuple):
@@ -400,6 +392,7 @@ class VehicleState(Block):
         super().__post_init__()
         where = "VehicleState"
         require(callable(self.rhs), where, f"rhs = {self.rhs!r}, expected a function, such as a plant's rhs")
+        require_within(where, "dt", self.dt, "s", 1e-3, 0.2)
         whole_samples(where, "horizon", self.horizon, self.dt)
         require_within(where, "horizon", self.horizon, "s", 0.0, 1.0)
         if self.steering is not None:
