@@ -11,12 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
+from steerkit._support.errors import number
 from steerkit.car import protocol
 from steerkit.car.protocol import Snapshot
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Out
 from steerkit.plants.single_track import Car
+from steerkit.task import DT
 
 
 class CarLost(ConnectionError):
@@ -180,6 +182,7 @@ class RealCar(Car):
 
     pure = False
     link: Any
+    dt: float = number(DT, "s", above=0.0, high=1.0)
 
     def init(self, batch: tuple[int, ...] = ()) -> tuple[Any, ...]:
         if batch:

@@ -16,6 +16,8 @@ def test_a_car_that_is_traced_or_batched_says_so() -> None:
     with pytest.raises(TypeError, match="cannot be traced"):
         car.output(casadi.SX.sym("t"), (), ())
     assert not car.pure
+    with pytest.raises(ValueError, match=r"dt = 2.0 \[s\]"):
+        RealCar(link=ReplayLink([]), dt=2.0)
 
 
 NUMBERS = {"x": 1.0, "y": 2.0, "psi": 3.0, "v": 4.0, "beta": 5.0, "r": 6.0, "a_y": 7.0, "delta_sw": 8.0}
