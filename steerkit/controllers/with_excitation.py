@@ -53,7 +53,7 @@ class WithExcitation(Wrapper):
     """Lateral acceleration that w does not lead beyond [m/s^2]."""
     v_least: Scalar = number(2.0, "m/s", low=0.5, high=20.0)
     """Slowest speed with a wave [m/s]."""
-    number: float = 0.0
+    number: float = number(0.0, "1", low=0.0, high=1e6)
     """Of this wave, among those of a drive."""
 
     def __post_init__(self) -> None:
