@@ -181,10 +181,15 @@ class Lqr(LimitedLaw):
     """Speed between rows [m/s]."""
     reference: float
     """Where e and e_dot are measured: metres ahead of the centre of gravity."""
-    preview_points: int
+    preview_points: int = number(unit="1", low=1)
     """Curvatures ahead, dt apart."""
     e_reach: Scalar | None = None
     """The car is taken to be at most so far off [m], so that it comes at no steeper an angle; None: no bound."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        columns = self.table.rows.shape[1]
+        require(self._waiting >= 1, "Lqr", f"table of {columns} columns, expected 5 + commands + preview")
 
     @classmethod
     def of(

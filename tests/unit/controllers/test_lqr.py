@@ -216,6 +216,8 @@ def test_it_refuses_designs_that_cannot_be() -> None:
         design(delay=2.1)
     lqr = Lqr.of(PASSAT, MATRICES, preview_points=2, v_min=4.0, v_max=5.0)
     assert replace(lqr, preview_points=2)._waiting == 1
+    with pytest.raises(ValueError, match="table of 8 columns"):
+        replace(lqr, preview_points=3)
     with pytest.raises(ValueError, match="preview_points = 0"):
         Lqr.of(PASSAT, MATRICES, preview_points=0)
     assert Lqr.of(PASSAT, MATRICES, preview_points=1, v_min=4.0, v_max=5.0).preview_points == 1
