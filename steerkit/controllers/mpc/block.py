@@ -145,6 +145,7 @@ class PredictiveSteering(Block):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require(isinstance(self.fallback, Stanley), type(self).__name__, "fallback of another kind than Stanley")
         timed = self.budget is None or self.clock is not None
         require(timed, type(self).__name__, f"budget = {self.budget} [s] needs a clock")
         object.__setattr__(self, "preview_points", math.ceil(_PACE * (len(self.spans) + self.horizon)) + 1)
@@ -174,8 +175,6 @@ class PredictiveSteering(Block):
                 rate_limit=min(float(actuator.rate_limit), cls.rate_limit),
             )
         return cls(**(given | settings))
-
-    # ---- what is made once --------------------------------------------------------------------------------------
 
     @cached_property
     def spans(self) -> tuple[float, ...]:
@@ -216,8 +215,6 @@ class PredictiveSteering(Block):
         state = self.X((0.0,) * self.waiting, (0.0,) * self.horizon, 0.0)
         u = self.D(0.0, 0.0, 5.0, 0.0, 0.0, 0.0, (0.0,) * self.preview_points)
         self._routine(*self._asked(state, u, SOLUTION))
-
-    # ---- a sample -------------------------------------------------------------------------------------------
 
     def init(self, batch: tuple[int, ...] = ()) -> tuple[Any, ...]:
         zeros = (0.0,) * (self.waiting + self.horizon)

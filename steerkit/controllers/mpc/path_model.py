@@ -134,8 +134,6 @@ class PathModel:
         results = [after, slope, b, slope @ x + b * u - after, row.T, a_y - row @ x]
         return casadi.Function("affine", [x, u, v, kappa], casadi.cse([casadi.densify(one) for one in results]))
 
-    # ---- tables over speed ----------------------------------------------------------------------------------
-
     @cached_property
     def _slopes(self) -> casadi.Function:
         """d(e, psi_e, sway, r)'/d(e, psi_e, sway, r, wheel) (4, 5) and d a_y (1, 5) in straight driving at speed v."""

@@ -84,8 +84,6 @@ class Programme:
         kappa = preview[j] + part * (preview[j + 1] - preview[j])
         return casadi.vertcat(self.law.model.cornering(v, kappa)[:6, :], kappa.T)
 
-    # ---- on arrays --------------------------------------------------------------------------------------------------
-
     @cached_property
     def given(self) -> Array:
         """The numbers that `prepare` reads."""

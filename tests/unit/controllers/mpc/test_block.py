@@ -317,6 +317,7 @@ def test_time_is_taken_unless_there_is_no_clock() -> None:
     ("wrong", "message"),
     [
         (dict(horizon=2.5), r"horizon = 2.5, expected a whole number"),
+        (dict(fallback=CAR), "fallback of another kind than Stanley"),
         (dict(budget=0.01, clock=None), r"budget = 0.01 \[s\] needs a clock"),
     ],
 )
