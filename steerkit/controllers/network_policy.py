@@ -179,6 +179,7 @@ class PolicyBlock(Policy):
     def load(cls, path: str | os.PathLike[str]) -> PolicyBlock:
         """The block that `save` wrote; raises ValueError for a truncated or foreign file."""
         f = read_arrays(path, "policy block", largest=LARGEST_POLICY)
+        unscaled = {"action_scale": np.array(0.0), "scaled_from": np.array(np.inf)}  # what older files do not say
         try:
             net = Network(
                 layers=tuple((f[f"w{i}"], f[f"b{i}"]) for i in range(int(f["layers"]))),
@@ -189,7 +190,7 @@ class PolicyBlock(Policy):
                 policy=net,
                 actions=tuple(f["actions"].tolist()) or None,
                 largest=float(f["largest"]),
-                description=StateDescription.of_arrays(f),
+                description=StateDescription.of_arrays(unscaled | f),
                 ready_from=float(f["ready_from"]),
                 dt=float(f["dt"]),
             )

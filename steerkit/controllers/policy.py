@@ -50,7 +50,7 @@ def check_layers(layers: Sequence[tuple[NDArray[Any], NDArray[Any]]], n_in: int 
     """
     n = n_in
     for i, (w, b) in enumerate(layers):
-        n = w.shape[-1] if n is None else n
+        n = w.shape[-1] if n is None and w.ndim else n
         fits = w.ndim == 2 and w.shape[1] == n and b.shape == (w.shape[0],)
         require(fits, where, f"layer {i}: W {w.shape}, b {b.shape}, expected W (n_out, {n}), b (n_out,)")
         finite = bool(np.isfinite(w).all() and np.isfinite(b).all())

@@ -18,8 +18,6 @@ from steerkit.scenario.assembly import steering_loop
 from steerkit.scenario.drive import drive_loop
 from tests.support.steady_world import SteadyWorld
 
-CONTINUOUS = "steerkit/TrackSteeringContinuous-v0"
-
 
 def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
     rng = np.random.default_rng(1)
@@ -27,7 +25,7 @@ def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
         layers=((rng.normal(size=(8, 6)), rng.normal(size=8)), (0.2 * rng.normal(size=(1, 8)), np.zeros(1))),
         head="tanh",
     )
-    env = gymnasium.make(CONTINUOUS, scenario=SteadyWorld(course="circle"), start_e=0.0)
+    env = gymnasium.make("steerkit/TrackSteeringContinuous-v0", scenario=SteadyWorld(course="circle"), start_e=0.0)
     observation, _ = env.reset(seed=4)
     task: Task = env.unwrapped.task  # type: ignore[attr-defined]
     seen = []
@@ -63,6 +61,9 @@ def test_a_policy_block_comes_back_from_its_file(tmp_path: Any) -> None:
     again = PolicyBlock.load(tmp_path / "p.npz")
     u = block.D(*rng.normal(size=(6, 50)))
     np.testing.assert_array_equal(again.output(0.0, (), u).action, block.output(0.0, (), u).action)
+    with np.load(tmp_path / "p.npz") as kept:  # as it was written before descriptions could be scaled
+        np.savez(tmp_path / "old.npz", **{key: kept[key] for key in kept if key not in ("action_scale", "scaled_from")})
+    assert PolicyBlock.load(tmp_path / "old.npz").description == again.description
     (tmp_path / "p.npz").write_bytes(b"PK no more")
     with pytest.raises(ValueError, match="cut short or not a steerkit policy block file"):
         PolicyBlock.load(tmp_path / "p.npz")
@@ -111,6 +112,7 @@ def test_a_policy_sees_each_column_as_a_share_of_its_range(name: str, value: flo
         ({"layers": ((np.ones((2, 6)), np.zeros(3)),)}, r"layer 0: W \(2, 6\), b \(3,\)"),
         ({"layers": ((np.ones((2, 6)), np.zeros(2)), (np.ones((1, 3)), np.zeros(1)))}, r"layer 1: .*\(n_out, 2\)"),
         ({"layers": ((np.ones(6), np.zeros(6)),)}, "layer 0: W"),
+        ({"layers": ((1.0, 0.0),)}, "layer 0: W"),
         ({"layers": ((np.full((2, 6), np.inf), np.zeros(2)),)}, "layer 0 holds a NaN or an infinity"),
         ({"layers": ((np.ones((2, 6)), np.array([0.0, np.nan])),)}, "layer 0 holds a NaN or an infinity"),
         ({"head": "tanh"}, "2 outputs, expected 1 for the head 'tanh'"),
