@@ -98,7 +98,7 @@ def check_numbers(of: Any, where: str) -> None:
         value = getattr(of, f.name)
         if "number" in f.metadata and not (value is None and f.default is None):
             unit, low, high, above = f.metadata["number"]
-            whole = f.type != "int" or isinstance(value, Integral)
+            whole = f.type not in ("int", int) or isinstance(value, Integral)
             require(whole, where, f"{f.name} = {value!r}, expected a whole number")
             require_within(where, f.name, value, unit, low, high, above=above)
 

@@ -67,6 +67,7 @@ class Numbers:
     offset: Any = number(0.0, "rad", high=2.0)
     free: Any = number(0.0, "m")
     lag: Any = number(None, "s", low=0.1, high=2.0)
+    count: int = number(1, "1", low=1)
 
 
 @pytest.mark.parametrize(
@@ -80,6 +81,7 @@ class Numbers:
         ({"free": math.nan}, r"^Table: free = nan \[m\], expected a number$"),
         ({"free": None}, r"^Table: free = None, expected a number \[m\]$"),
         ({"lag": 0.0}, "expected 0.1 to 2$"),
+        ({"count": 1.5}, r"^Table: count = 1\.5, expected a whole number$"),
     ],
 )
 def test_a_field_has_its_range_beside_it(given: dict[str, Any], message: str) -> None:
