@@ -109,8 +109,7 @@ class TorqueSteering(DelayedSteering):
 
     inputs: delta_sw_cmd [rad] and v [m/s], which act from their sample to the next. outputs, of state only: delta_sw
     [rad], the angle at the wheel; rate [rad/s], its mean speed over the last sample. state: delta_sw, rate, a, then the
-    delay/dt wanted accelerations on their way, oldest first. NaN in an input gives NaN
-    for good.
+    delay/dt wanted accelerations on their way, oldest first. NaN in an input gives NaN for good.
     source: Rajamani 2012, section 3.3 (steady cornering). Dead time, slew and limit of one car as its simulator,
     learned from drives, has them: 0.35 s, 5 m/s^3, 3 m/s^2; the last two are also the bounds of ISO 11270.
     """

@@ -17,7 +17,6 @@ from tests.support.ranges import keeps_range
 
 CAR = DelayCompensator(samples=5, now=0.004, before=0.005, earlier=0.003, back=0.2, slip=4e-4, yaw=0.38, straight=0.05)
 FAST = replace(CAR, slip=0.0, loss=1.2e-3, yaw=1.0 / LENGTH, nose=0.9, tail=2e-3, fast=1.0)
-STATE = ("e", "e_dot", "v", "psi_e", "r_e", "doe")
 
 
 def driven(car: DelayCompensator, n: int = 80, seed: int = 0) -> tuple[list[Any], list[CourseMotion]]:

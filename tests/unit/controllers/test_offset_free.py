@@ -27,7 +27,6 @@ from steerkit.vehicles import vehicle
 PASSAT = vehicle("vw-passat")
 STRAIGHT = Scenario(course="straight", driver={"v_min": 6.0, "v_max": 6.0})
 SLALOM = STRAIGHT.with_(course={"name": "slalom"})
-BEND = STRAIGHT.with_(course={"name": "circle", "rounds": 1.5})
 OFF = {"steering": {"offset_deg": 5.0}}
 OTHER_CAR = {"vehicle": {"ratio": 1.25, "tyres": 0.6}}
 D = radians_of(5.0)
@@ -42,9 +41,7 @@ def at_the_end(name: str, scenario: Scenario) -> float:
     return float(e[-1])
 
 
-def stanley_beside() -> float:
-    law = Stanley.of(PASSAT)
-    return D * (law.k_soft + 6.0) / (law.k * PASSAT.steer_ratio)
+STANLEY_BESIDE = D * (Stanley.k_soft + 6.0) / (Stanley.k * PASSAT.steer_ratio)
 
 
 def lqr_beside() -> float:
@@ -55,7 +52,7 @@ def lqr_beside() -> float:
 
 
 @pytest.mark.parametrize(
-    ("name", "beside"), [("stanley-delay", None), ("stanley", stanley_beside()), ("lqr", lqr_beside()), ("mpc", None)]
+    ("name", "beside"), [("stanley-delay", None), ("stanley", STANLEY_BESIDE), ("lqr", lqr_beside()), ("mpc", None)]
 )
 def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(name: str, beside: float | None) -> None:
     off = STRAIGHT.with_(**OFF)
@@ -72,7 +69,7 @@ def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(nam
     [*itertools.product(("stanley", "lqr"), (OFF, {"disturbances": {"bank_deg": 3.0}}, OTHER_CAR)), ("mpc", OTHER_CAR)],
 )
 def test_in_a_steady_bend_neither_offset_nor_bank_nor_ratio_leaves_an_error(name: str, wrong: dict[str, Any]) -> None:
-    bent = BEND.with_(**wrong)
+    bent = STRAIGHT.with_(course={"name": "circle", "rounds": 1.5}, **wrong)
     assert abs(at_the_end("stanley-delay" if name == "stanley" else name, bent)) > 5e-3
     assert abs(at_the_end(f"{name}-offset-free", bent)) < 1e-3
 

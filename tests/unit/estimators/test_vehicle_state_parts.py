@@ -83,8 +83,6 @@ def test_what_a_wheel_turns_unheard_is_not_left_in_its_zero() -> None:
     assert turned_on(1.0, 1.0, 0.7, 1.6) == pytest.approx((1.6, 1.6, 0.1, 0.0, 1.0))
 
 
-# ---- the motion of a sample
-
 H = 0.05
 plants = pytest.mark.parametrize(
     "plant", [NonlinearSingleTrack(vehicle=VW_PASSAT), LinearSingleTrack(vehicle=VW_PASSAT)]
@@ -151,8 +149,6 @@ def test_speed_and_sideslip(plant: SingleTrack) -> None:
     assert beta == pytest.approx(np.arctan2(dy, dx) - x[2], abs=1e-3)
     assert course(plant.rhs, 0.0, 0.0, 0.1, 0.0) == (0.0, 0.0)
 
-
-# ---- correction
 
 RHS = NonlinearSingleTrack(vehicle=VW_PASSAT).rhs
 FILTER = VehicleState(
