@@ -164,7 +164,7 @@ def read_npz(file: File, where: str, *, largest: int = LARGEST) -> dict[str, NDA
     except (FileNotFoundError, IsADirectoryError, PermissionError):
         raise
     except Exception as error:  # zipfile, zlib and NumPy's parser of headers let many kinds out
-        raise ValueError(f"{where}: {file} is no NumPy .npz file, or a broken one ({error})") from error
+        raise ValueError(f"{where}: {file} is no NumPy .npz file, or a broken one ({error!s:.200})") from error
 
 
 def _check_sizes(archive: zipfile.ZipFile, largest: int) -> None:
@@ -194,7 +194,7 @@ def read_arrays(file: File, kind: str, *, largest: int = LARGEST) -> dict[str, N
         arrays = read_npz(file, kind, largest=largest)
     except ValueError as why:
         hint = f"it is cut short or not a steerkit {kind} file; write it again with save()"
-        raise ValueError(f"{file}: cannot be read ({why.__cause__}); {hint}") from why
+        raise ValueError(f"{file}: cannot be read ({why.__cause__!s:.200}); {hint}") from why
     kept = str(arrays.get("format", "an .npz of another program"))
     require(kept == f"steerkit {kind} 1", str(file), f"holds '{kept}', expected 'steerkit {kind} 1'")
     return arrays

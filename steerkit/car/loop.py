@@ -257,7 +257,7 @@ def element_of(place: FilePath) -> str:
 
 def setting_of(place: FilePath) -> Setting:
     """How a run on a car learns; raises ValueError for a directory that holds none."""
-    data = rundir.document(place, "car.json", RUN_FORMAT)
+    data = rundir.document(place, "car.json", RUN_FORMAT, ["setting"])
     return rundir.from_plain(data["setting"], str(place / "car.json"), Setting)
 
 

@@ -15,7 +15,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, fields, is_dataclass, replace
 from functools import partial
@@ -84,6 +84,8 @@ def is_free(place: FilePath) -> bool:
 
 
 FORMAT = "steerkit run 2"
+KEYS = ("experiment", "checkpoint", "counts", "pending", "trusted", "before")
+"""What run.json holds besides its format."""
 
 
 KINDS = {c.__name__: c for c in (Experiment, Setting, FitSetting, *costs.COSTS)}
@@ -184,7 +186,7 @@ def save(run: LearningRun, place: FilePath) -> None:
             stale.unlink()
 
 
-def document(place: FilePath, name: str = "run.json", form: str = FORMAT) -> dict[str, Any]:
+def document(place: FilePath, name: str = "run.json", form: str = FORMAT, keys: Iterable[str] = KEYS) -> dict[str, Any]:
     """The contents of run.json; raises ValueError when there is none, it is broken, or of another format."""
     file = FilePath(place) / name
     if not file.exists():
@@ -195,6 +197,8 @@ def document(place: FilePath, name: str = "run.json", form: str = FORMAT) -> dic
         raise ValueError(f"{file} is truncated or no JSON ({error}); the run cannot be read") from error
     if not isinstance(data, dict) or data.get("format") != form:
         raise ValueError(f"{file}: format {data.get('format') if isinstance(data, dict) else None!r}, not {form!r}")
+    missing = ", ".join(key for key in keys if key not in data)
+    require(not missing, str(file), f"damaged, without {missing}; the run cannot be read")
     return data
 
 
@@ -223,13 +227,8 @@ def resumed(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
 def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     number = data["checkpoint"]
     run = LearningRun(from_plain(data["experiment"], "run.json"))
-    learner_state, counts = run.learner_state, data["counts"]
-    lasting = counts["recovery"]
-    again = {
-        "episodes": [Episode(**e) for e in counts["episodes"]],
-        "recovery": Recovery(**lasting) if lasting else None,
-    }
-    learner_state.counts = Counts(**{**counts, **again})
+    learner_state = run.learner_state
+    learner_state.counts = _counts(place, data["counts"])
     state = run.loop.load_state(_existing(place / f"state-{number}.npz"))
     run.x, run.y = list(state.x), list(state.y)
     learner_state.transitions = Transitions.load(_existing(place / f"transitions-{number}.npz"))
@@ -247,6 +246,14 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
         s, action = data["before"]
         learner_state.before = Before(learner_state.counts.k // run.ticks - 1, tuple(s), action)
     return run
+
+
+def _counts(place: FilePath, kept: dict[str, Any]) -> Counts:
+    try:
+        episodes, lasting = [Episode(**e) for e in kept["episodes"]], kept["recovery"]
+        return Counts(**{**kept, "episodes": episodes, "recovery": Recovery(**lasting) if lasting else None})
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{place / 'run.json'}: damaged counts ({error}); the run cannot be read") from error
 
 
 def drive_log(place: FilePath, *, until: float = math.inf) -> Log:

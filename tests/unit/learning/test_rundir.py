@@ -26,15 +26,17 @@ def test_broken_and_foreign_directories_are_named(kept: Path, tmp_path: Path) ->
         learn(SHORT, tmp_path)
     with pytest.raises(ValueError, match="another experiment"):
         learn(replace(SHORT, seed=9), kept)
-    (tmp_path / "run.json").write_text((kept / "run.json").read_text()[:100])
-    with pytest.raises(ValueError, match="truncated"):
-        rundir.load(tmp_path)
-    (tmp_path / "run.json").write_text(json.dumps({"format": "other"}))
-    with pytest.raises(ValueError, match="format 'other'"):
-        rundir.load(tmp_path)
-    (tmp_path / "run.json").write_text((kept / "run.json").read_text())
-    with pytest.raises(ValueError, match="not whole"):
-        rundir.load(tmp_path)
+    whole = (kept / "run.json").read_text()
+    for text, why in (
+        (whole[:100], "truncated"),
+        (json.dumps({"format": "other"}), "format 'other'"),
+        (whole.replace('"pending"', '"pendimg"'), r"run\.json: damaged, without pending"),
+        (whole.replace('"ended"', '"en$ed"'), r"run\.json: damaged counts \(.*'en\$ed'"),
+        (whole, "not whole"),
+    ):
+        (tmp_path / "run.json").write_text(text)
+        with pytest.raises(ValueError, match=why):
+            rundir.load(tmp_path)
 
 
 @pytest.mark.parametrize("name", SETTINGS)
