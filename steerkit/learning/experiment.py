@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from numbers import Integral
 from typing import Any
 
 from steerkit._support.errors import check_numbers, number, require
@@ -71,9 +70,6 @@ class Experiment:
         asked = f"scenario = {self.scenario!r:.60}, expected a Scenario, such as Scenario(course='paper')"
         require(isinstance(self.scenario, Scenario), "Experiment", asked)
         check_numbers(self, "Experiment")
-        for name in ("episodes", "rounds", "seed"):
-            value = getattr(self, name)
-            require(isinstance(value, Integral), "Experiment", f"{name} = {value!r}, expected a whole number")
 
 
 class LearningRun:
