@@ -8,7 +8,6 @@ submitted before an earlier one was fetched, the earlier one's nets are what the
 from __future__ import annotations
 
 import logging
-import math
 import multiprocessing
 import os
 import signal
@@ -77,7 +76,7 @@ class SimulatedTrainer:
     """
 
     def __init__(self, *, seconds: float = 1.0, nets: Nets = (), pending: Pending | None = None):
-        require_within("SimulatedTrainer", "seconds", seconds, "s", 0.0, math.inf)
+        require_within("SimulatedTrainer", "seconds", seconds, "s", 0.0, 1e9)
         self.seconds, self.learned = seconds, pending[2] if pending else Learned(nets)
         self.pending = pending
         """The unfinished job, for a checkpoint to keep and another trainer to go on with."""
@@ -155,7 +154,7 @@ class Trainer:
 
     def poll(self, t: float = 0.0) -> Result | None:
         """The newest job's result, once, if it is there."""
-        if self._jobs and time.monotonic() - self._heard > PATIENCE:
+        if self._jobs and not self._futures[0].done() and time.monotonic() - self._heard > PATIENCE:
             self._process.kill()
         while self._jobs and self._futures[0].done() and not self._closed:
             result = self._result()

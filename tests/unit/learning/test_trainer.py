@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from steerkit.learning.costs import BandCost, Costs, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting, Problem
-from steerkit.learning.trainer import Job, Nets, Result, SimulatedTrainer, Trainer
+from steerkit.learning.trainer import Job, Nets, SimulatedTrainer, Trainer
 from tests.support.programs import alive
 
 ACTIONS = (-0.1, 0.0, 0.1)
@@ -97,15 +97,10 @@ def own() -> Iterator[Trainer]:
 
 # ---- the same interface -----------------------------------------------------------------------------------------
 
-MAKERS: dict[str, Callable[[], AbstractContextManager[Any]]] = {
-    "simulated": lambda: nullcontext(SimulatedTrainer(seconds=3.0)),
-    "process": Trainer,
-}
 
-
-@pytest.fixture(params=list(MAKERS))
+@pytest.fixture(params=[lambda: nullcontext(SimulatedTrainer(seconds=3.0)), Trainer], ids=["simulated", "process"])
 def trainer(request: pytest.FixtureRequest) -> Iterator[Any]:
-    with MAKERS[request.param]() as made:
+    with request.param() as made:
         yield made
 
 
@@ -157,8 +152,9 @@ def test_simulated_nets_are_ready_when_the_charged_time_has_passed() -> None:
 def test_simulated_errors_are_raised_where_they_are_made() -> None:
     with pytest.raises(ValueError, match="no transitions, expected at least one"):
         SimulatedTrainer().submit(job(1, transitions=Transitions()), 0.0)
-    with pytest.raises(ValueError, match="seconds = -1"):
-        SimulatedTrainer(seconds=-1.0)
+    for seconds in (-1.0, float("inf")):
+        with pytest.raises(ValueError, match=f"seconds = {seconds}"):
+            SimulatedTrainer(seconds=seconds)
 
 
 # ---- in a process -----------------------------------------------------------------------------------------------
@@ -244,6 +240,9 @@ def test_a_process_that_is_silent_for_too_long_is_replaced(
     until(lambda: own.poll() or own.faults)
     assert own.busy
     assert own.faults[0].endswith("died over net 1")
+    (tmp_path / "go").touch()
+    until(own._futures[0].done)  # nobody asked in time, but it was not silent
+    assert (own.poll() is not None, len(own.faults), alive(own.pid or 0)) == (True, 1, True)
 
 
 def test_ctrl_c_is_for_the_loop(own: Trainer, tmp_path: Path) -> None:
@@ -253,8 +252,7 @@ def test_ctrl_c_is_for_the_loop(own: Trainer, tmp_path: Path) -> None:
     assert own.pid is not None
     os.kill(own.pid, signal.SIGINT)
     (tmp_path / "go").touch()
-    result: Result = until(own.poll)
-    assert result.nets is not None
+    assert until(own.poll).nets is not None
     assert own.faults == []
 
 
