@@ -31,10 +31,8 @@ def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> 
         actuator=SteeringActuator(delay=delay, lag=0.1),
         reference=PASSAT.l_f,
     )
-    cars = {
-        "car.vehicle.c_f": PASSAT.c_f * np.array([1.0, 0.7]),
-        "car.vehicle.steer_ratio": PASSAT.steer_ratio * np.array([1.0, 1.1]),
-    }
+    stiffness, ratio = PASSAT.c_f * np.array([1.0, 0.7]), PASSAT.steer_ratio * np.array([1.0, 1.1])
+    cars = {"car.vehicle.c_f": stiffness, "car.vehicle.steer_ratio": ratio}
     log = compile(loop, record=["path.e", "path.progress"], every=5, parameters=list(cars)).run(130.0, parameters=cars)
     assert log["path.progress"][-1].min() > path.length
     assert (np.abs(log["path.e"]).max(axis=0) < [0.1, 0.3]).all()
