@@ -173,8 +173,7 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     else:
         x = np.add.reduce([v[row + j] * (w[row + j + 1] - w[row + j]) for j in range(AHEAD)])
         r = s[:, R_E] + s[:, V] * s[:, KAPPA]
-        yaw = np.linalg.lstsq(x[:, None], r[row + AHEAD] - r[row], rcond=None)[0]
-        answer |= {"slip": grown, "yaw": float(yaw[0])}
+        answer |= {"slip": grown, "yaw": float(x @ (r[row + AHEAD] - r[row]) / (x @ x + 1e-9))}
     straight = float(np.clip(-constant / max(now + before + earlier, 1e-6), -OFF_CENTRE, OFF_CENTRE))
     other = replace(model, **answer, straight=straight)
     right = (other.ratio(np.array([v.min(), v.max()])) > 0.0).all() and 0.0 < other.yaw < 4.0 * abs(model.yaw)
