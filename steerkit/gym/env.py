@@ -60,7 +60,7 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
                 "TrackSteering.step: the episode is over, or none has begun; call reset()"
             )
         cars = self._cars
-        cars.step(self.task.angle(action, self.action_space.shape or ()))
+        cars.step(self.task.angle(action, ()))
         info = self._info()
         if self._painter:
             self._painter.add(info)

@@ -90,7 +90,7 @@ FASTEST = {"delta_sw": 35.0, "v": 30.0, "r": 30.0, "psi": 10.0}
 """What no car changes faster than: 2000 deg/s of wheel [rad/s], 3 g [m/s^2], yaw [rad/s^2], heading [rad/s]."""
 ODD = ("delta_sw", "delta", "v", "r")
 """Quantities of which such values are reported; a heading and a place jump by themselves."""
-_ODD, _NEAR = 10.0, [1] * 8 + [0] * 3 + [1] * 8
+_ODD, _NEAR = 10.0, [True] * 8 + [False] * 3 + [True] * 8
 """A value is odd that lies so many times further beside its neighbours' middle than any of those about it."""
 
 
@@ -142,7 +142,7 @@ def standing_off(values: Array, least: float | Array) -> NDArray[np.intp]:
     other near it: of a signal with noise or in steps, hardly any."""
     beside = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     # a spoilt value moves its neighbours' middles too, by half: those next to it count for less
-    most = np.maximum(1.5 * scipy.ndimage.maximum_filter(beside, footprint=[1, 0, 1], mode="constant"), least)
+    most = np.maximum(1.5 * scipy.ndimage.maximum_filter(beside, footprint=[True, False, True], mode="constant"), least)
     np.maximum(most, _ODD * scipy.ndimage.maximum_filter(beside, footprint=_NEAR, mode="constant"), out=most)
     return np.flatnonzero(beside > most) + 1
 
@@ -365,7 +365,7 @@ def _resampled(columns: dict[str, Array], dt: float, step: float) -> dict[str, A
     for key in list(columns):
         value = columns.pop(key)
         value = np.unwrap(value) if key == "psi" else value
-        known = np.isfinite(value) if key in PLACES else np.ones(len(t), dtype=bool)
+        known = np.isfinite(value)
         if known.all():
             even[key] = np.interp(clock, t, scipy.ndimage.uniform_filter1d(value, width) if width >= 2 else value)
         elif known.any():
@@ -388,7 +388,7 @@ def _yaw_rate(
     """The yaw rate, with the heading's zero if there is a heading; and whether there is."""
     if "psi" not in even:
         return even["r"], False
-    window = max(3, 2 * round(0.5 * HEADING_WINDOW / dt) + 1)
+    window = 2 * round(0.5 * HEADING_WINDOW / dt) + 1
     slope: Array = scipy.signal.savgol_filter(even["psi"], window, 2, deriv=1, delta=dt)
     if "r" not in even:
         remarks.append(f"yaw rate: slope of the heading over {window * dt:.2f} s")
@@ -430,7 +430,7 @@ def _check_plausible(drive: Drive) -> None:
     }
     flip = -1.0 if slope < 0.0 else 1.0
     turned = "one of delta_sw and r has the wrong sign (scale = -1)"
-    fits = [turned] if flip < 0.0 and 20.0 <= -slope <= 90.0 else []
+    fits = [turned] if 20.0 <= -slope <= 90.0 else []
     fits += [
         cause + (f", and {turned}" if flip < 0.0 else "")
         for cause, factor in causes.items()

@@ -71,10 +71,10 @@ def weighted_acceleration(t: ArrayLike, a_y: ArrayLike) -> float:
     Raises ValueError for uneven t. Source: ISO 2631-1:1997, equation 1, k_d = 1.
     """
     values, dt = samples("weighted_acceleration", a_y), step(t, "weighted_acceleration", a_y)
-    times = max(1, math.ceil(WEIGHTING_RATE * dt - 1e-6))
+    times = math.ceil((1.0 - 1e-6) * WEIGHTING_RATE * dt)
     # both ends held for 2 s: the interpolator sees no edge there, and the weighting starts at rest
-    held = max(1, math.ceil(2.0 / dt))
+    held = math.ceil(2.0 / dt)
     long = np.pad(values - values[0], held, mode="edge")
-    fine = scipy.signal.resample_poly(long, times, 1, padtype="edge") if times > 1 else long
+    fine = scipy.signal.resample_poly(long, times, 1, padtype="edge")
     weighted = scipy.signal.sosfilt(wd_filter(times / dt), fine)
     return rms(weighted[held * times : (held + len(values)) * times])

@@ -40,7 +40,7 @@ def interval(values: ArrayLike, statistic: Callable[..., Any] = np.mean, *, seed
     sample = _finite_or_never("interval", values)
     with np.errstate(invalid="ignore"):
         value = float(statistic(sample))
-        if len(sample) == 1 or (sample == sample[0]).all():
+        if (sample == sample[0]).all():
             return Interval(value, value, value, len(sample))
         resampled = scipy.stats.bootstrap((sample,), statistic, method="percentile", **_resampling(seed))
     tail = 0.5 * (1.0 - CONFIDENCE)

@@ -6,6 +6,7 @@ Whoever changes a picture on purpose renews the file by `python -m tests.contrac
 import contextlib
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,11 +22,13 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.gym.frames import Painter
+from steerkit.identification.fit import Identified, Prediction
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
 from steerkit.learning.nfq.rprop import new_net
 from steerkit.learning.pictures import film, policy, run
+from steerkit.logs.drive import Drive
 from steerkit.plots import animation, course, diagram, drive, log, style
 from steerkit.scenario import Scenario
 from tests.support.diagrams import LOOPS, small
@@ -51,6 +54,11 @@ EPISODES = tuple(
     for a, b in ((0.0, 3.2), (4.1, 11.7), (13.3, None))
 )
 PARTS: dict[str, Any] = {"experiment": Experiment(scenario=SCENARIO), "policy": NFQ, "path": PATH, "transitions": SEEN}
+DRIVE = Drive(name="a", dt=0.05, delta_sw=T, v=3.0 + T % 7.0, r=0.2 * np.sin(T), measured=T > 5.0, calibrated=True)
+ERRORS = ("rms", "rms_driving", "mean_driving", "rms_rezeroed", "zero_shift")
+PREDICTED = Prediction(drive=DRIVE, r=0.3 * np.sin(T + 0.1), **dict(zip(ERRORS, 0.01 * np.arange(1.0, 6.0))))
+FITTED: dict[str, Any] = {"vehicle": PASSAT, "base": PASSAT, "drive": DRIVE, "estimates": (), "theta": {}, "free": ()}
+FOUND = Identified(**FITTED, fit=replace(PREDICTED, r=1.1 * DRIVE.r), covariance=np.eye(1), correlation_time=1.0)
 RECORD = run.Record(name="run", episodes=EPISODES, log=LOG, **PARTS)
 
 
@@ -104,6 +112,8 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "curve": lambda: run.learning_curve(RECORD),
     "compare": lambda: run.compare([RECORD, RECORD]),
     "failures": lambda: run.failure_map(RECORD),
+    "identified": lambda: FOUND.plot(PREDICTED),
+    "fit": lambda: FOUND.plot(),
     "replay": lambda: run.replay(RECORD, 2),
     "replay of the last": lambda: run.replay(RECORD, 3),
 }

@@ -1,5 +1,7 @@
 """A recorded drive on one clock: repairs are stated, confusion is refused."""
 
+import contextlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +10,18 @@ import pytest
 from steerkit.diagram.units import degrees_of
 from steerkit.identification import Drive, identify
 from steerkit.identification.fit import Identified
-from steerkit.logs.drive import aligned, in_metres, odd_values, standing_off
+from steerkit.logs.drive import (
+    _check_plausible,
+    _check_ranges,
+    _measured,
+    _resampled,
+    _steps,
+    aligned,
+    in_metres,
+    moments,
+    odd_values,
+    standing_off,
+)
 from tests.support.recorded_cars import BASE, DT, by_rate, noisy
 
 
@@ -82,9 +95,8 @@ def test_trusted_units_are_not_judged(clean: dict[str, Any]) -> None:
     assert len(Drive.of(turned, trusted=True).v) == len(Drive.of(by_rate(clean)).v)
 
 
-def circling(**changes: Any) -> dict[str, Any]:
+def circling(t: Any = np.arange(3000) * DT, **changes: Any) -> dict[str, Any]:  # noqa: B008
     """A minute of weaving to the left, round and round: the heading passes 180 degrees many times."""
-    t = np.arange(3000) * DT
     r = 0.5 + 0.2 * np.sin(0.5 * t)
     psi = 0.5 * t + 0.4 * (1.0 - np.cos(0.5 * t))
     return {"t": t, "delta_sw": 45.0 * r / 6.0, "v": np.full_like(t, 6.0), "r": r, "psi": psi} | changes
@@ -98,6 +110,102 @@ def test_a_heading_that_passes_180_degrees_goes_on() -> None:
         drive = Drive.of(columns)
         inner = drive.measured & (drive.t < drive.t[-1] - 0.2)
         np.testing.assert_allclose(drive.r[inner], whole["r"][: len(drive.r)][inner], atol=2e-3)
+    assert drive.notes == ("yaw rate: slope of the heading over 0.22 s",)
+
+
+@pytest.mark.parametrize(
+    ("columns", "taken"),
+    [
+        ({"delta_sw": [0.0, -17.5], "v": [100.0, -1.0], "r": [2.5, 0.0], "psi": [330.0, 0.0]}, True),
+        ({"v": [1.0], "psi": [0.0, 390.0]}, True),
+        ({"v": [1.0], "delta_sw": [17.51]}, False),
+        ({"v": [100.1]}, False),
+        ({"v": [1.0], "r": [-2.51]}, False),
+        ({"v": [-1.01]}, False),
+        ({"v": [1.0], "psi": [0.0, 331.0]}, False),
+        ({"v": [1.0], "psi": [389.0, 0.0]}, False),
+    ],
+)
+def test_values_at_the_bounds_of_what_a_car_reaches(columns: dict[str, Any], taken: bool) -> None:
+    with contextlib.nullcontext() if taken else pytest.raises(ValueError, match="a drive: "):
+        _check_ranges({key: np.array(value) for key, value in columns.items()}, "a drive")
+
+
+ADVICE = {5e-4: "", 0.5: "", 4.9e-4: "min", 0.51: "column", 1.9: "column", 2.0: "ms", 249.0: "ms", 251.0: "column"}
+ADVICE |= {2e3: "us", 2.4e5: "us", 2e6: "ns", 2.4e8: "ns", 3e8: "column", 1e-6: "column"}
+
+
+@pytest.mark.parametrize(("step", "advice"), ADVICE.items())
+def test_the_step_says_what_unit_the_time_is_in(step: float, advice: str) -> None:
+    t = step * np.arange(11.0)
+    if not advice:
+        assert _steps(t, "a drive", [])[0] == pytest.approx(step)
+    else:
+        with pytest.raises(ValueError, match="right column" if advice == "column" else f"is t in {advice}"):
+            _steps(t, "a drive", [])
+
+
+@pytest.mark.parametrize(("step", "pause", "gap"), [(0.01, 0.25, 0), (0.01, 0.26, 1), (0.1, 0.5, 0), (0.1, 0.51, 1)])
+def test_a_gap_is_longer_than_five_steps_and_a_quarter_second(step: float, pause: float, gap: int) -> None:
+    t, notes = np.cumsum([0.0] + [step] * 80 + [pause - 1e-9] + [step] * 80), list[str]()
+    assert _steps(t, "a drive", notes)[1].tolist() == [80] * gap
+    assert notes == [f"1 gaps, {pause:.1f} s in all (the longest {pause:.1f} s): bridged, not compared"] * gap
+    assert _measured(t, np.array([80]), t[80] + np.array([0.0, 1e-6, pause + 0.999, pause + 1.0])).tolist() == [
+        *(t[80] >= 1.0, False, False, True)
+    ]
+
+
+def test_half_of_a_drive_may_be_gaps() -> None:
+    for pause, taken in ((1.0, True), (1.02, False)):
+        t = np.cumsum([0.0] + [1 / 64] * 32 + [pause] + [1 / 64] * 32)
+        with contextlib.nullcontext() if taken else pytest.raises(ValueError, match="1 s of 2 s are gaps"):
+            _steps(t, "a drive", [])
+
+
+def test_what_is_finer_than_the_clock_is_averaged_and_no_car_reverses() -> None:
+    t = 0.005 * np.arange(400)
+    even = _resampled({"t": t + 7.0, "v": np.where(t < 1.0, -0.5, 5.0), "r": (-1.0) ** np.arange(400)}, 0.01, 0.005)
+    assert even["t"] == pytest.approx(0.01 * np.arange(200))
+    assert np.abs(even["r"][2:-2]).max() < 1e-12
+    assert (even["v"][50], even["v"][150]) == (0.0, 5.0)
+    assert moments([3.0, -4.0]) == pytest.approx((12.5**0.5, -0.5))
+
+
+@pytest.mark.parametrize(
+    ("metres", "says"),
+    [
+        (15.01, ""),
+        (119.9, ""),
+        (14.99, "perhaps v is in m/s and was read as km/h"),
+        (120.1, r"perhaps v is in km/h .unit = .km/h.."),
+        (45.0 * 57.3, "perhaps delta_sw is in degrees"),
+        (45.0 / 57.3, "perhaps the yaw rate is in degrees"),
+        (3.0, r"perhaps delta_sw is the road wheels' angle [^;]*\. To"),
+        (-45.0, r"perhaps one of delta_sw and r has the wrong sign .scale = -1.\. To"),
+        (-3.0, r"perhaps delta_sw is the road wheels' .*, and one of delta_sw and r"),
+        (1e5, r"wheelbase.\. To"),
+    ],
+)
+def test_wheel_over_curvature_is_that_of_a_road_car(metres: float, says: str) -> None:
+    drive = Drive.of(circling())
+    with pytest.raises(ValueError, match=says) if says else contextlib.nullcontext():
+        _check_plausible(replace(drive, delta_sw=metres * drive.r / drive.v))
+
+
+@pytest.mark.parametrize(("gain", "fits"), [(0.81, True), (1.24, True), (0.79, False), (1.26, False)])
+def test_the_yaw_rate_may_differ_from_the_headings_by_a_quarter(gain: float, fits: bool) -> None:
+    with contextlib.nullcontext() if fits else pytest.raises(ValueError, match=f"the yaw rate is {gain:.3g} times"):
+        assert Drive.of(circling(r=gain * circling()["r"])).calibrated
+
+
+@pytest.mark.parametrize(("recorded", "dt"), [(0.005, 0.01), (0.02, 0.02), (0.08, 0.05)])
+def test_the_clock_is_the_recordings_within_bounds(recorded: float, dt: float) -> None:
+    columns = {key: value[:: round(recorded / 0.005)] for key, value in circling(np.arange(12000) * 0.005).items()}
+    assert Drive.of(columns).dt == dt
+    for wrong in (0.00099, 0.101):
+        with pytest.raises(ValueError, match=r"dt = .* expected 0.001 to 0\.1$"):
+            Drive.of(columns, dt=wrong)
+    assert [Drive.of(columns, dt=given).dt for given in (0.001, 0.1)] == [0.001, 0.1]
 
 
 @pytest.mark.parametrize(("key", "jump"), [("delta_sw", 4.0), ("v", 8.0), ("r", 2.0)])
@@ -150,8 +258,25 @@ def test_where_a_channel_pauses_nothing_is_made_up() -> None:
     assert np.isfinite(even["v"][~inside & (even["t"] < 3.99)]).all()
 
 
+def test_the_clock_is_that_of_the_fastest_where_all_that_is_needed_was_recorded() -> None:
+    fast, slow, late = 0.05 * np.arange(81.0), 1.5 + 0.1 * np.arange(36.0), np.array([2.0, 2.2])
+    notes: list[str] = []
+    values = {"x": late, "v": fast, "psi": (3.0 * slow) % 6.0 / 6.0 * 2.0 * np.pi}
+    even = aligned(values, {"x": late, "v": fast, "psi": slow}, "test", notes)
+    assert notes == ["one clock of 20 Hz for channels of x 5, v 20, psi 10 Hz"]
+    assert even["t"] == pytest.approx(1.5 + 0.05 * np.arange(51.0))
+    assert even["v"] == pytest.approx(even["t"])
+    assert np.diff(even["psi"]) == pytest.approx(0.05 * np.pi)
+    assert even["t"][np.isfinite(even["x"])] == pytest.approx(2.0 + 0.05 * np.arange(5.0))
+
+
 def test_clocks_that_do_not_overlap_teach() -> None:
     t = np.arange(0.0, 10.0, 0.1)
+    assert len(aligned({"v": t, "r": t}, {"v": t, "r": t + 8.8}, "test", [])["t"]) == 12
+    with pytest.raises(ValueError, match="v has 1 samples that are numbers"):
+        aligned({"v": t[:1], "r": t}, {"v": t[:1], "r": t}, "test", [])
+    with pytest.raises(ValueError, match="clocks do not overlap"):
+        aligned({"v": t[:11], "r": t}, {"v": t[:11], "r": t}, "test", [])
     with pytest.raises(ValueError, match=r"clocks do not overlap: v 0 to 9.9, r 1000 to 1009.9 \[s\]"):
         aligned({"v": t, "r": t}, {"v": t, "r": t + 1000.0}, "test", [])
 

@@ -22,7 +22,7 @@ def drive(**changes: Any) -> dict[str, Any]:
 
 
 def test_the_summary_of_a_drive() -> None:
-    s = metrics.summary(**drive())
+    s = metrics.summary(**drive(t=3.0 + np.arange(401) * 0.05))
     assert s.duration == pytest.approx(20.0)
     assert s.max_e == 0.2
     assert s.rms_e == pytest.approx(math.sqrt((200 * 0.04 + 201 * 1e-4) / 401))

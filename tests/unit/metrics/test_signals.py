@@ -15,8 +15,10 @@ def test_the_magnitude_of_95_percent() -> None:
     # a sine is below sin(90 deg * 0.95) for 95 % of the time
     assert metrics.magnitude_at(sine(0.2)[:-1]) == pytest.approx(math.sin(math.pi / 2.0 * 0.95), abs=2e-3)
     assert math.isnan(metrics.magnitude_at([0.0, math.nan]))
-    with pytest.raises(ValueError, match=r"share 95 \[1\], expected 0 to 1"):
-        metrics.magnitude_at([1.0], 95)
+    assert [metrics.magnitude_at([1.0, -3.0, 2.0], share) for share in (0.0, 1.0)] == [1.0, 3.0]
+    for share in (-0.01, 1.01):
+        with pytest.raises(ValueError, match=rf"share {share:g} \[1\], expected 0 to 1"):
+            metrics.magnitude_at([1.0], share)
 
 
 def test_the_time_over_a_bound_counts_a_nan_as_over() -> None:
@@ -57,7 +59,7 @@ def test_jerk_of_a_ramp_is_its_slope_and_of_a_step_is_spread_over_the_window() -
     assert jerk.sum() * 0.05 == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("dt", [0.05, 0.01, 0.1])
+@pytest.mark.parametrize("dt", [0.05, 0.01, 0.25])
 def test_jerk_is_the_moving_average_of_the_derivative(dt: float) -> None:
     t = np.arange(round(20.0 / dt)) * dt
     a_y = np.sin(1.3 * t) + 0.3 * np.cos(4.0 * t)

@@ -108,7 +108,8 @@ def test_speeds_of_road_and_lane(tmp_path: FilePath) -> None:
 
 
 def test_elevation_and_superelevation_are_told_and_not_used(tmp_path: FilePath) -> None:
-    flat = road_files.by_hand(tmp_path / "flat.xodr", ARC, length=60.0)
+    level = '<elevationProfile><elevation s="0" a="10"/></elevationProfile>'
+    flat = road_files.by_hand(tmp_path / "flat.xodr", ARC, length=60.0, more=level)
     hill = '<elevationProfile><elevation s="0" a="10" b="0.05" c="0" d="0"/></elevationProfile>'
     bank = '<lateralProfile><superelevation s="0" a="0.04" b="0" c="0" d="0"/></lateralProfile>'
     steep = road_files.by_hand(tmp_path / "steep.xodr", ARC, length=60.0, more=hill + bank)

@@ -1,6 +1,9 @@
 """GPX, GeoJSON and CSV as their writers write them."""
 
+import contextlib
 import json
+import math
+from itertools import pairwise
 from pathlib import Path as FilePath
 
 import gpxpy
@@ -10,7 +13,7 @@ import pytest
 from steerkit.paths.courses import course
 from steerkit.paths.importers import Line, contents, read_course
 from steerkit.paths.importers.course import laid
-from steerkit.paths.importers.tracks import cleaned, csv, geojson, gpx, rounds
+from steerkit.paths.importers.tracks import Track, cleaned, csv, geojson, gpx, rounds
 from tests.support import road_files
 
 XY = np.column_stack((np.linspace(0.0, 200.0, 41), 10.0 * np.sin(np.linspace(0.0, 3.0, 41))))
@@ -98,12 +101,23 @@ def test_csv_with_noise_speed_and_rounds(tmp_path: FilePath) -> None:
     file = tmp_path / "a.csv"
     file.write_text("t,x,y,v\n" + "\n".join(f"{k},{x},{y},{4 + 0.01 * k}" for k, (x, y) in enumerate(XY)))
     (track,) = csv(str(file))
-    assert track.flat
+    assert (track.flat, track.noise, Track("0", drawn=True).noise) == (True, 1.0, 0.1)
+    assert [*track.t] == [*range(41)]
     made = read_course(f"{file}#noise=0.05")
     assert made.v is not None
     assert made.v[0] == pytest.approx(4.0, abs=1e-3)
     assert made.v[-1] == pytest.approx(4.4, abs=1e-3)
     assert made.path.length == pytest.approx(201.1, abs=0.2)
+
+
+@pytest.mark.parametrize(("said", "kinds"), [(201.0, ["open"]), (202.0, ["closed"]), (202.9, ["closed"]), (203.0, [])])
+def test_a_csv_file_is_as_long_as_its_first_line_says(said: float, kinds: list[str], tmp_path: FilePath) -> None:
+    """There and back beside it: 201 m, closed 202 m."""
+    file, rows = tmp_path / "a.csv", [f"{x},{y}" for y, way in ((0, 1), (1, -1)) for x in range(0, 102, 2)[::way]]
+    for kind in ("open", "closed"):
+        file.write_text("\n".join([f"# a: {kind} path, {said} m", "x,y", *rows]))
+        with contextlib.nullcontext() if kind in kinds else pytest.raises(ValueError, match="its points make 20"):
+            assert not csv(str(file))[0].t
 
 
 def test_a_track_without_points_is_said(tmp_path: FilePath) -> None:
@@ -150,6 +164,10 @@ def test_of_a_stop_one_point_is_left() -> None:
     line, (note,) = cleaned(all_xy, all_t, nothing(all_xy), 0.5, "lap")
     assert note == "left out 40 of 70 points, recorded while the car stood"
     assert np.array_equal(line.xy, xy)
+    at = [0, 0, 0, 0, 0, 0, 9, 9, 9, 9, 9, 9, 15, 21, 21, 21, 21, 21, 27]  # stood twice; five samples are too short
+    twice = np.column_stack((at, np.zeros(19)))
+    line, _ = cleaned(twice, np.arange(19.0), nothing(twice), 0.5, "lap")
+    assert line.xy[:, 0].tolist() == [0, 9, 15, 21, 27]
 
 
 def test_a_gap_is_refused_with_what_to_record() -> None:
@@ -159,6 +177,16 @@ def test_a_gap_is_refused_with_what_to_record() -> None:
         cleaned(xy[keep], t[keep] + (t[keep] > 20.0), nothing(t[keep]), 0.5, "lap")
     on_standby = t + 600.0 * (t > 10.0)  # ten minutes without a word, but not a metre further
     cleaned(xy, on_standby, nothing(t), 0.5, "lap")
+    seldom = np.delete(np.arange(0, 36, 4), 4)  # three of its usual steps are no gap
+    assert len(cleaned(xy[seldom], t[seldom], nothing(seldom), 0.5, "lap")[0].xy) == 8
+
+
+def test_four_points_with_times_of_their_own_are_the_fewest() -> None:
+    xy, t = track(5.0)
+    twice = np.array([0.0, 1.0, 1.0, 2.0, 3.0])
+    assert len(cleaned(xy, twice, nothing(t), 0.5, "lap")[0].xy) == 4
+    with pytest.raises(ValueError, match="3 points with times of their own, expected 4 or more"):
+        cleaned(xy[:4], twice[:4], nothing(t[:4]), 0.5, "lap")
 
 
 @pytest.mark.parametrize("by", [(900.0, 0.0), (0.0, 80.0)])
@@ -192,6 +220,8 @@ def test_a_round_ends_where_it_began(noise: float, seed: int) -> None:
         assert closed
         assert len(line.xy) == pytest.approx(around, abs=2.0)
         assert note.startswith(f"round {number} of 2")
+    if not noise:
+        assert rounds(Line(xy=xy), noise, None, "lap")[2] == ["round 1 of 2: points 0 to 37, 53 others left out"]
     with pytest.raises(ValueError, match="lap 3, but it has 2 whole rounds"):
         rounds(Line(xy=xy), noise, 3, "lap")
 
@@ -202,3 +232,17 @@ def test_what_does_not_come_back_is_no_round() -> None:
     assert (len(line.xy), closed, notes) == (20, False, [])
     there_and_back = np.vstack((np.linspace((0, 0), (200, 0), 41), np.linspace((200, 4), (0, 4), 41)))
     assert not rounds(Line(xy=there_and_back), 0.5, None, "lap")[1], "it comes back the other way"
+
+
+@pytest.mark.parametrize(
+    ("step", "noise", "reach", "early"),
+    [(1, 0.0, 5.0, 0), (1, 3.0, 12.0, 3), (5, 2.9, 11.6, 0), (5, 3.1, 12.4, 5), (5, 0.0, 7.5, 0)],
+)
+def test_a_round_ends_beside_its_beginning_or_not(step: int, noise: float, reach: float, early: int) -> None:
+    for beside, comes_back, before in ((1.0, True, early), (reach - 0.01, True, 0), (reach + 0.01, False, 0)):
+        corners = np.array([(0.0, 0.0), (60.0, 0.0), (60.0, 40.0), (-40.0, 40.0), (-40.0, beside), (60.0, beside)])
+        xy = np.vstack([np.linspace(a, b, round(math.dist(a, b)) // step, False) for a, b in pairwise(corners)])
+        line, closed, _ = rounds(Line(xy=xy), noise, None, "lap")
+        assert closed == comes_back
+        if closed:
+            assert xy[len(line.xy)].tolist() == pytest.approx([-before, beside])
