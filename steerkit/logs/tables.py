@@ -78,7 +78,7 @@ def _table(path: Path, lines: Iterator[str], notes: list[str]) -> Table:
     numbers = np.isfinite([_number(name) for name in names]).all()
     require(not numbers, str(path), f"the first row holds numbers ({head[:60]}), no names")
     require(len(set(names)) == len(names), str(path), f"two columns of one name: {', '.join(names)}")
-    values, odd, last = array("d"), 0, False  # as text all of it would take many times the memory
+    values, odd = array("d"), 0  # as text all of it would take many times the memory
     for line in lines:
         cells = _cells(line.replace(",", ".") if mark == ";" else line, mark)
         last = len(cells) != len(names)

@@ -133,8 +133,6 @@ def documents(kind: type[Block]) -> str:
 ELSEWHERE = {"PredictiveSteering", "MPC", "NonlinearMPC", "RealCar", "FmuPlant", "OpenPolicy"}
 """Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is somebody's file,
 an open policy is run on symbols only."""
-
-
 STARTS = {"VehicleState"}
 """Blocks with direct inputs that only say where to start from: no output sees them."""
 

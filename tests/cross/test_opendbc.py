@@ -45,18 +45,9 @@ class Commands(NamedTuple):
 def car() -> VehicleModel:
     """Our Passat as opendbc's model."""
     ours = load("dbw-kit.toml").vehicle
-    return VehicleModel(
-        SimpleNamespace(
-            mass=ours.m,
-            rotationalInertia=ours.i_z,
-            wheelbase=ours.wheelbase,
-            centerToFront=ours.l_f,
-            steerRatioRear=0.0,
-            tireStiffnessFront=ours.c_f,
-            tireStiffnessRear=ours.c_r,
-            steerRatio=ours.steer_ratio,
-        )
-    )
+    size = dict(mass=ours.m, rotationalInertia=ours.i_z, wheelbase=ours.wheelbase, centerToFront=ours.l_f)
+    tyres = dict(tireStiffnessFront=ours.c_f, tireStiffnessRear=ours.c_r)
+    return VehicleModel(SimpleNamespace(**size, **tyres, steerRatioRear=0.0, steerRatio=ours.steer_ratio))
 
 
 @cache

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import control
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -102,23 +101,6 @@ def test_beyond_the_delay_margin_of_the_closed_form_there_are_no_margins() -> No
     assert margins(break_at(loop(6, 1, 4.0, 2.0), "spring.a")).delay == pytest.approx(delay - 6 * DT, rel=1e-6)
     with pytest.raises(UnstableError, match="the closed loop is unstable"):
         margins(break_at(loop(7, 1, 4.0, 2.0), "spring.a"))
-
-
-@pytest.mark.parametrize("n", [1, 4])
-def test_python_control_finds_the_same(n: int) -> None:
-    opened = break_at(loop(n), "spring.a")
-    found = margins(opened)
-    _, phase_deg, _, w = control.margin(opened)
-    assert found.phase == pytest.approx(math.radians(phase_deg), rel=1e-5)
-    assert found.gain_crossing == pytest.approx(w, rel=1e-5)
-
-
-@pytest.mark.parametrize("n", [0, 3])
-def test_one_more_sample_of_delay_than_the_margin_is_unstable(n: int) -> None:
-    spare = margins(break_at(loop(n), "spring.a")).delay
-    for more, stable in ((math.floor(spare / DT), True), (math.floor(spare / DT) + 1, False)):
-        poles = control.feedback(break_at(loop(n + more), "spring.a")).poles()
-        assert (np.abs(poles).max() < 1.0) == stable
 
 
 def test_the_opened_loop_is_the_transfer_function() -> None:

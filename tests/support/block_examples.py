@@ -56,18 +56,8 @@ PASSAT = vehicle("vw-passat")
 _round = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
 OVAL = Path.from_waypoints(np.column_stack((25 * np.cos(_round), 15 * np.sin(_round))), closed=True, spacing=3.0)
 _rng = np.random.default_rng(0)
-LATE = DelayCompensator(
-    samples=3,
-    now=0.004,
-    before=0.005,
-    earlier=0.003,
-    back=0.2,
-    slip=4e-4,
-    yaw=0.38,
-    straight=0.05,
-    loss=1e-3,
-    tail=1e-3,
-)
+AT_ONCE = dict(now=0.004, before=0.005, earlier=0.003)
+LATE = DelayCompensator(samples=3, back=0.2, slip=4e-4, yaw=0.38, straight=0.05, loss=1e-3, tail=1e-3, **AT_ONCE)
 FAST = dataclasses.replace(LATE, fast=1.0, trust=0.5)
 NETS = tuple(
     (_rng.normal(size=(5, 7)), _rng.normal(size=5), _rng.normal(size=(1, 5)), _rng.normal(size=1)) for _ in range(2)

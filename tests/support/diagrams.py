@@ -53,6 +53,4 @@ LOOPS = {
     "learning": learning,
     "sensors": lambda: learning(Sensors()),
 }
-
-
 loops = pytest.mark.parametrize("name", LOOPS)

@@ -6,8 +6,6 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import CarModel
 
 ACTIONS = (-0.3, 0.0, 0.3)
-
-
 CAR = CarModel(held=1.0, pushed=1.0, now=0.002, before=0.004, earlier=0.003, back=0.14, yaw=0.36, limit=9.0)
 
 

@@ -259,16 +259,8 @@ class Copies:
     def pytest(self, tree: Path, words: Sequence[str], seconds: float) -> tuple[int | None, str]:
         """Exit code (None: the time was over), and the test that failed or was running last."""
         temporary = tree.with_name(f"{tree.name}-temporary")
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-xv",
-            "--tb=no",
-            "-p",
-            "tests.support.mutants",
-            "--hypothesis-seed=0",
-        ]
+        options = "-m pytest -xv --tb=no -p tests.support.mutants --hypothesis-seed=0"
+        command = [sys.executable, *options.split()]
         environment = os.environ | {
             "PYTHONPATH": str(tree),
             "PYTHONDONTWRITEBYTECODE": "1",

@@ -13,24 +13,10 @@ from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import Vehicle, vehicle
 
 BASE = vehicle("vw-passat")
-
-
 TRUE = replace(BASE, name="true", steer_ratio=14.2, c_f=150e3, c_r=210e3)
-
-
-TRUTH = {
-    "steer_ratio": 14.2,
-    "delay": 0.07,
-    "lag": 0.09,
-    "delay_lag": 0.16,
-    "offset": -0.03,
-    "understeer_gradient": TRUE.understeer_gradient,
-    "c_f": 150e3,
-    "c_r": 210e3,
-}
+TRUTH = dict(steer_ratio=14.2, delay=0.07, lag=0.09, delay_lag=0.16, offset=-0.03, c_f=150e3, c_r=210e3)
+TRUTH["understeer_gradient"] = TRUE.understeer_gradient
 """The actuator delays by 0.06 s, and at dt = 0.01 s actuator and car hold their inputs, dt/2 late each."""
-
-
 DT = 0.02
 
 
@@ -57,13 +43,8 @@ def driven(car: Vehicle = TRUE, seconds: float = 90.0, *, v_low: float = 5.0, v_
         wires=[(play.delta_sw, motor.delta_sw_cmd), (motor.delta_sw, plant.delta_sw_cmd), (play.v, plant.v_cmd)],
     )
     log = simulate(loop, seconds, record=["drive.delta_sw", "drive.v", "car.r", "car.psi"], every=2)
-    return {
-        "t": log.t,
-        "delta_sw": log["drive.delta_sw"],
-        "v": log["drive.v"],
-        "r": log["car.r"],
-        "psi": log["car.psi"],
-    }
+    signals = {name.split(".")[1]: log[name] for name in ("drive.delta_sw", "drive.v", "car.r", "car.psi")}
+    return {"t": log.t} | signals
 
 
 def noisy(columns: dict[str, Any], seed: int, *, white: float = 0.004, slow: float = 0.003) -> dict[str, Any]:

@@ -17,24 +17,13 @@ SEEDS = (0, 1, 2, 3, 4, 5)
 PROVENANCE: dict[str, Any] = {
     "suites": dict.fromkeys(("tracking", "robustness", "paper"), "made up"),
     "controllers": {n: {"kind": "learned" if "nfq" in n else "analytic", "about": f"about {n}"} for n in CONTROLLERS},
-    "scenarios": {},
-    "seeds": [],
-    "planned": [],
-    "source": "0" * 40,
-    "commit": "0" * 40,
     "versions": {"python": "3.11.0", "numpy": "2.0.0"},
-}
+} | {"scenarios": {}, "seeds": [], "planned": [], "source": "0" * 40, "commit": "0" * 40}
 
 
 def scenario(name: str, **changes: Any) -> dict[str, Any]:
-    return {
-        "name": name,
-        "course.name": "paper",
-        "vehicle.plant": "nonlinear",
-        "driver.v_min": 4.0,
-        "driver.v_max": 7.5,
-        "steering.delay": 0.0,
-    } | changes
+    drives = {"driver.v_min": 4.0, "driver.v_max": 7.5, "steering.delay": 0.0}
+    return {"name": name, "course.name": "paper", "vehicle.plant": "nonlinear"} | drives | changes
 
 
 def scenarios() -> dict[str, dict[str, Any]]:
@@ -59,19 +48,9 @@ def drive(controller: str, fields: dict[str, Any], seed: int) -> dict[str, np.nd
     x, y = frames[:, 0] - e * frames[:, 3], frames[:, 1] + e * frames[:, 2]
     kappa = frames[:, 2] * frames[:, 5] - frames[:, 3] * frames[:, 4]
     delta_sw = 15.6 * (2.7 * kappa + 0.3 * e)
-    return {
-        "t": t,
-        "s": s,
-        "x": x,
-        "y": y,
-        "e": e,
-        "psi_e": psi_e,
-        "v": np.full_like(t, v),
-        "delta_sw": delta_sw,
-        "delta_sw_rate": np.gradient(delta_sw, t),
-        "a_y": v * v * kappa + 0.3 * np.sin(5.0 * t),
-        "learning": np.ones_like(t),
-    }
+    here = dict(t=t, s=s, x=x, y=y, e=e, psi_e=psi_e, v=np.full_like(t, v), learning=np.ones_like(t))
+    felt = {"delta_sw_rate": np.gradient(delta_sw, t), "a_y": v * v * kappa + 0.3 * np.sin(5.0 * t)}
+    return here | {"delta_sw": delta_sw} | felt
 
 
 def driven(suite: str, name: str, controller: str, seed: int) -> tuple[Case, dict[str, np.ndarray]]:
@@ -93,29 +72,15 @@ def learnt(seed: int) -> tuple[Case, dict[str, np.ndarray]]:
     ready = 60.0 + 30.0 * seed if seed < SEEDS[-1] else math.inf
     good = t >= ready
     rms_e = np.where(good, 0.02, np.where(t > 0.5 * ready, 0.15, math.nan))
-    curve = {
-        "t": t,
-        "transitions": 20.0 * t,
-        "failures": t / 20.0,
-        "held": np.isfinite(rms_e) * 1.0,
-        "rounds": np.where(good, 1.0, 0.4),
-        "rms_e": rms_e,
-        "max_e": 3.0 * rms_e,
-        "rms_wheel_rate_deg": np.full_like(t, 60.0),
-        "max_a_y": np.full_like(t, 3.0),
-        "max_jerk": np.full_like(t, 3.0),
-        "episode_began": t,
-        "episode_ended": t + 5.0,
-        "episode_distance": 25.0 + 0.0 * t,
-        "episode_rms_e": 0.1 + 0.0 * t,
-    }
-    metrics = {
-        "round_minutes": ready / 60.0,
-        "round_episodes": ready / 20.0,
-        "good_minutes": ready / 60.0,
-        "good_episodes": ready / 20.0,
-        "transitions": 6000.0,
-    }
+    curve = dict(t=t, transitions=20.0 * t, failures=t / 20.0, rms_e=rms_e, max_e=3.0 * rms_e)
+    curve |= {"held": np.isfinite(rms_e) * 1.0, "rounds": np.where(good, 1.0, 0.4)}
+    curve |= {"rms_wheel_rate_deg": np.full_like(t, 60.0)} | dict.fromkeys(
+        ("max_a_y", "max_jerk"), np.full_like(t, 3.0)
+    )
+    curve |= {"episode_began": t, "episode_ended": t + 5.0}
+    curve |= {"episode_distance": np.full_like(t, 25.0), "episode_rms_e": np.full_like(t, 0.1)}
+    metrics = {f"{what}_minutes": ready / 60.0 for what in ("round", "good")}
+    metrics |= {"round_episodes": ready / 20.0, "good_episodes": ready / 20.0, "transitions": 6000.0}
     return Case(
         suite="training", scenario="train-clean", controller="nfq-idoe", seed=seed, kind="learn", metrics=metrics
     ), curve

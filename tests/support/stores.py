@@ -8,8 +8,6 @@ from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.data.transitions import Transitions
 
 AWKWARD = (-0.0, 5e-324, 0.1 + 0.2, -1e300, 1.0, -3.5)
-
-
 ARRAYS = ("s", "a", "s_next", "episode")
 
 

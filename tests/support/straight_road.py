@@ -12,8 +12,6 @@ from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSAT = vehicle("vw-passat")
-
-
 ROAD = straight(400.0)
 
 

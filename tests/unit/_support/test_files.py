@@ -12,16 +12,6 @@ import numpy as np
 import pytest
 
 from steerkit._support import files
-from steerkit._support.files import (
-    atomic_write,
-    read_arrays,
-    read_npz,
-    read_text,
-    read_toml,
-    write_arrays,
-    write_npz,
-    write_text,
-)
 
 
 def names(folder: Path) -> list[str]:
@@ -31,7 +21,7 @@ def names(folder: Path) -> list[str]:
 def test_a_file_is_there_when_the_block_has_ended_well_and_not_before(tmp_path: Path) -> None:
     file = tmp_path / "a.txt"
     file.write_text("old")
-    with atomic_write(file) as draft:
+    with files.atomic_write(file) as draft:
         draft.write_text("new")
         assert file.read_text() == "old"
         assert draft.parent == tmp_path  # on the same disk, or it could not be renamed at once
@@ -45,7 +35,7 @@ def test_after_any_error_the_old_file_is_there_and_nothing_else(tmp_path: Path, 
     file.write_text("old")
 
     def fail() -> None:
-        with atomic_write(file) as draft:
+        with files.atomic_write(file) as draft:
             draft.write_text("half")
             raise error
 
@@ -58,7 +48,7 @@ def test_after_any_error_the_old_file_is_there_and_nothing_else(tmp_path: Path, 
 
 def test_a_new_file_that_could_not_be_written_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="x holds objects, expected numbers or text"):
-        write_npz(tmp_path / "a.npz", {"x": [object()]})
+        files.write_npz(tmp_path / "a.npz", {"x": [object()]})
     assert names(tmp_path) == []
 
 
@@ -78,10 +68,10 @@ for write in (lambda: write_npz(sys.argv[1], {"x": np.ones(5000)}), lambda: writ
 
 def test_on_a_full_disk_the_old_file_stays_and_no_rubbish_is_left(tmp_path: Path) -> None:
     file = tmp_path / "a.npz"
-    write_npz(file, {"x": np.arange(3.0)})
+    files.write_npz(file, {"x": np.arange(3.0)})
     told = subprocess.run([sys.executable, "-c", FULL, str(file)], capture_output=True, text=True, timeout=120)
     assert told.stdout.split() == [str(errno.EFBIG)] * 2, told.stderr
-    np.testing.assert_array_equal(read_npz(file, "test")["x"], np.arange(3.0))
+    np.testing.assert_array_equal(files.read_npz(file, "test")["x"], np.arange(3.0))
     assert names(tmp_path) == ["a.npz"]
 
 
@@ -92,11 +82,11 @@ def test_the_disk_has_it_before_the_old_one_goes_unless_the_thread_may_not_wait(
     sync, replace = os.fsync, os.replace
     monkeypatch.setattr(files.os, "fsync", lambda handle: (calls.append("sync"), sync(handle)))
     monkeypatch.setattr(files.os, "replace", lambda a, b: (calls.append("replace"), replace(a, b)))
-    write_text(tmp_path / "a", "a")
+    files.write_text(tmp_path / "a", "a")
     assert calls == ["sync", "replace"]
     calls.clear()
-    write_npz(tmp_path / "a", {"x": 1.0}, durable=False)
-    write_arrays(tmp_path / "a", "thing", {"x": 1.0}, durable=False)
+    files.write_npz(tmp_path / "a", {"x": 1.0}, durable=False)
+    files.write_arrays(tmp_path / "a", "thing", {"x": 1.0}, durable=False)
     assert calls == ["replace", "replace"]
 
 
@@ -112,17 +102,17 @@ def test_a_file_that_another_thread_makes_just_then_is_no_folder(
         return stat(self, **options)
 
     monkeypatch.setattr(Path, "stat", made_after_the_first_look)
-    write_text(file, "mine")
+    files.write_text(file, "mine")
     monkeypatch.undo()
     assert file.read_text() == "mine"
 
 
 def test_what_a_killed_process_left_is_written_over(tmp_path: Path) -> None:
-    with atomic_write(tmp_path / "a") as draft:
+    with files.atomic_write(tmp_path / "a") as draft:
         left = draft
         draft.write_text("a")
     left.write_text("half")
-    with atomic_write(tmp_path / "a") as draft:
+    with files.atomic_write(tmp_path / "a") as draft:
         assert draft == left
         assert not draft.exists()
         draft.write_text("b")
@@ -132,37 +122,37 @@ def test_what_a_killed_process_left_is_written_over(tmp_path: Path) -> None:
 def test_a_link_is_followed_and_what_is_no_file_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "real").write_text("old")
     (tmp_path / "link").symlink_to("real")
-    write_text(tmp_path / "link", "new")
+    files.write_text(tmp_path / "link", "new")
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "real").read_text() == "new"
     os.mkfifo(tmp_path / "pipe")
     for name in ("pipe", "."):
         with pytest.raises(ValueError, match="is a folder or a device, expected a file's name"):
-            write_text(tmp_path / name, "x")
+            files.write_text(tmp_path / name, "x")
     with pytest.raises(FileNotFoundError, match=r"there is no such folder.*nowhere"):
-        write_text(tmp_path / "nowhere" / "a", "x")
+        files.write_text(tmp_path / "nowhere" / "a", "x")
 
 
 def test_text_is_utf_8_in_any_locale(tmp_path: Path) -> None:
-    write_text(tmp_path / "a", "grün ✓\n")
+    files.write_text(tmp_path / "a", "grün ✓\n")
     assert (tmp_path / "a").read_bytes() == "grün ✓\n".encode()
 
 
 @pytest.mark.parametrize("compressed", [False, True])
 def test_arrays_come_back_bit_for_bit_under_any_name(tmp_path: Path, compressed: bool) -> None:
     arrays = {"x": np.array([0.1, -0.0, np.inf]), "n": np.arange(3), "t": np.array(["a", "grün"])}
-    write_npz(tmp_path / "no_suffix", arrays, compressed=compressed)
-    back = read_npz(tmp_path / "no_suffix", "test")
+    files.write_npz(tmp_path / "no_suffix", arrays, compressed=compressed)
+    back = files.read_npz(tmp_path / "no_suffix", "test")
     assert back.keys() == arrays.keys()
     for name, values in arrays.items():
         assert back[name].dtype == values.dtype
         assert back[name].tobytes() == values.tobytes()
-    write_npz(tmp_path / "zeros", {"x": np.zeros(10_000)}, compressed=compressed)
+    files.write_npz(tmp_path / "zeros", {"x": np.zeros(10_000)}, compressed=compressed)
     assert ((tmp_path / "zeros").stat().st_size < 10_000) is compressed
 
 
 def test_broken_and_foreign_files_are_told_and_nothing_in_them_is_executed(tmp_path: Path) -> None:
-    write_npz(tmp_path / "good", {"x": np.arange(100.0)})
+    files.write_npz(tmp_path / "good", {"x": np.arange(100.0)})
     good = (tmp_path / "good").read_bytes()
     np.save(tmp_path / "array.npy", np.zeros(3))
     np.savez(tmp_path / "objects.npz", x=np.array([{}], dtype=object))
@@ -171,24 +161,24 @@ def test_broken_and_foreign_files_are_told_and_nothing_in_them_is_executed(tmp_p
         (tmp_path / name).write_bytes(content)
     for name in (*contents, "array.npy", "objects.npz"):
         with pytest.raises(ValueError, match=f"me: .*{name} is no NumPy .npz file, or a broken one"):
-            read_npz(tmp_path / name, "me")
+            files.read_npz(tmp_path / name, "me")
     with pytest.raises(FileNotFoundError):
-        read_npz(tmp_path / "nowhere", "me")
+        files.read_npz(tmp_path / "nowhere", "me")
     with pytest.raises(IsADirectoryError):
-        read_npz(tmp_path, "me")
+        files.read_npz(tmp_path, "me")
 
 
 def test_arrays_of_another_kind_are_refused(tmp_path: Path) -> None:
-    write_arrays(tmp_path / "a", "thing", {"x": 1.0})
-    assert read_arrays(tmp_path / "a", "thing")["x"] == 1.0
+    files.write_arrays(tmp_path / "a", "thing", {"x": 1.0})
+    assert files.read_arrays(tmp_path / "a", "thing")["x"] == 1.0
     with pytest.raises(ValueError, match="a: holds 'steerkit thing 1', expected 'steerkit policy 1'"):
-        read_arrays(tmp_path / "a", "policy")
-    write_npz(tmp_path / "b", {"x": 1.0})
+        files.read_arrays(tmp_path / "a", "policy")
+    files.write_npz(tmp_path / "b", {"x": 1.0})
     with pytest.raises(ValueError, match=r"b: holds 'an .npz of another program', expected 'steerkit policy 1'"):
-        read_arrays(tmp_path / "b", "policy")
+        files.read_arrays(tmp_path / "b", "policy")
     (tmp_path / "c").write_text("no")
     with pytest.raises(ValueError, match=r"c: cannot be read .* cut short or not a steerkit policy file"):
-        read_arrays(tmp_path / "c", "policy")
+        files.read_arrays(tmp_path / "c", "policy")
 
 
 def test_a_small_file_that_asks_for_a_lot_of_memory_is_refused_before_it_gets_any(tmp_path: Path) -> None:
@@ -196,8 +186,8 @@ def test_a_small_file_that_asks_for_a_lot_of_memory_is_refused_before_it_gets_an
     np.savez_compressed(file, a=np.zeros(3_000_000))  # 24 MB of zeros in 24 kB
     assert file.stat().st_size < 100_000
     with pytest.raises(ValueError, match="its arrays take 24 MB, expected at most 20 MB"):
-        read_npz(file, "test", largest=20_000_000)
-    assert read_npz(file, "test", largest=25_000_000)["a"].shape == (3_000_000,)
+        files.read_npz(file, "test", largest=20_000_000)
+    assert files.read_npz(file, "test", largest=25_000_000)["a"].shape == (3_000_000,)
 
 
 def test_a_header_that_promises_more_than_there_is_is_refused(tmp_path: Path) -> None:
@@ -208,22 +198,22 @@ def test_a_header_that_promises_more_than_there_is_is_refused(tmp_path: Path) ->
     with zipfile.ZipFile(whole_file) as source, zipfile.ZipFile(liar, "w") as target:
         target.writestr("a.npy", source.read("a.npy").replace(b"(10,)", b"(99,)"))
     with pytest.raises(ValueError, match="says that it has 792 bytes"):
-        read_npz(liar, "test")
+        files.read_npz(liar, "test")
 
 
 def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbfx,y\n")
-    assert read_text(tmp_path / "a.csv", "test") == "x,y\n"
+    assert files.read_text(tmp_path / "a.csv", "test") == "x,y\n"
 
 
 def test_a_toml_file_is_read_or_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text("a = 1\n")
-    assert read_toml(tmp_path / "a.toml", "test") == {"a": 1}
+    assert files.read_toml(tmp_path / "a.toml", "test") == {"a": 1}
     (tmp_path / "b.toml").write_text("a = = 1\n")
     with pytest.raises(ValueError, match=r"^test: not TOML .*line 1"):
-        read_toml(tmp_path / "b.toml", "test")
+        files.read_toml(tmp_path / "b.toml", "test")
     with pytest.raises(ValueError, match=r"^test: cannot be read .No such file or directory., expected a TOML file$"):
-        read_toml(tmp_path / "c.toml", "test")
+        files.read_toml(tmp_path / "c.toml", "test")
 
 
 def test_lines_are_added_and_half_a_line_goes(tmp_path: Path) -> None:

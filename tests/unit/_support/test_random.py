@@ -18,13 +18,8 @@ def draws(state, n, draw=uniform):
 
 def test_published_numbers():
     numbers, _ = draws((12345.0,) * 6, 5)  # L'Ecuyer's RngStreams, the default seed
-    assert numbers[:, 0].tolist() == [
-        0.12701112204657714,
-        0.3185275653967945,
-        0.3091860155832701,
-        0.8258468629271136,
-        0.2216299157820229,
-    ]
+    published = "0.12701112204657714 0.3185275653967945 0.3091860155832701 0.8258468629271136 0.2216299157820229"
+    assert numbers[:, 0].tolist() == [float(number) for number in published.split()]
 
 
 @given(seed=st.integers(0, 2**63 - 1), stream=st.integers(0, 9))

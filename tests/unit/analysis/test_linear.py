@@ -28,8 +28,6 @@ from steerkit.scenario.assembly import placed, steering_loop
 from tests.support.straight_road import PASSAT, steered
 
 PLANT = control.ss([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], 0.05, inputs=["u"], outputs=["y"])
-
-
 FILTER = control.ss([[0.5]], [[1.0]], [[-0.08]], [[-0.02]], 0.05, inputs=["u"], outputs=["y"])
 
 

@@ -40,16 +40,8 @@ def policy() -> NfqPolicy:
 def learner_loop() -> Loop:
     path = circle()
     car = placed(LinearSingleTrack(vehicle=CAR), path, e=0.05)
-    return steering_loop(
-        car=car,
-        path=path,
-        driver=ConstantSpeed(speed=6.0),
-        controller=policy(),
-        doe=Integrator(),
-        recovery=Stanley.of(CAR),
-        actuator=SteeringActuator(delay=0.1),
-        sensors=Sensors.hard(1),
-    )
+    who = dict(controller=policy(), doe=Integrator(), recovery=Stanley.of(CAR), driver=ConstantSpeed(speed=6.0))
+    return steering_loop(car=car, path=path, actuator=SteeringActuator(delay=0.1), sensors=Sensors.hard(1), **who)
 
 
 def built(folder: Path, name: str, flags: list[str]) -> subprocess.CompletedProcess[str]:
@@ -128,14 +120,9 @@ def test_the_replay_notices_a_changed_gain(gain: str, says: str, tmp_path: Path)
 def test_the_header_names_inputs_outputs_units_and_limits(tmp_path: Path) -> None:
     export_c(Supervisor(), tmp_path)
     header = (tmp_path / "supervisor.h").read_text()
-    for line in (
-        "double learner; /* [rad] */",
-        "double e; /* [m] */",
-        "double tripped; /* [1] */",
-        "#define SUPERVISOR_TRIP 0.5",
-        "#define SUPERVISOR_DT 0.05 /* [s] */",
-        "void supervisor_init(supervisor_state *s);",
-    ):
+    numbers = ("#define SUPERVISOR_TRIP 0.5", "#define SUPERVISOR_DT 0.05 /* [s] */")
+    fields = ("double learner; /* [rad] */", "double e; /* [m] */", "double tripped; /* [1] */")
+    for line in (*numbers, *fields, "void supervisor_init(supervisor_state *s);"):
         assert line in header
 
 

@@ -16,8 +16,6 @@ from steerkit.gym.task import Agent
 from tests.support.steady_world import SteadyWorld
 
 ID = "steerkit/TrackSteering-v0"
-
-
 HOLD = IDOE_ACTIONS.index(0.0)
 
 

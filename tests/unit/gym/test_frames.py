@@ -10,8 +10,6 @@ import steerkit.gym  # noqa: F401  registers the environments
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 
 ID = "steerkit/TrackSteering-v0"
-
-
 HOLD = IDOE_ACTIONS.index(0.0)
 
 

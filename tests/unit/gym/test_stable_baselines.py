@@ -11,8 +11,6 @@ import steerkit.gym
 from steerkit.gym import Task, TrackSteering
 
 ID = "steerkit/TrackSteering-v0"
-
-
 CONTINUOUS = "steerkit/TrackSteeringContinuous-v0"
 
 

@@ -14,14 +14,8 @@ from steerkit.plants.speed_driver import RecordedSpeed
 from steerkit.scenario import Scenario
 
 ID = "steerkit/TrackSteering-v0"
-
-
 CONTINUOUS = "steerkit/TrackSteeringContinuous-v0"
-
-
 needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
-
-
 backends = pytest.mark.parametrize("backend", ["python", pytest.param("c", marks=needs_compiler)])
 
 

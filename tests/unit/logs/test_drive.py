@@ -10,18 +10,8 @@ import pytest
 from steerkit.diagram.units import degrees_of
 from steerkit.identification import Drive, identify
 from steerkit.identification.fit import Identified
-from steerkit.logs.drive import (
-    _check_plausible,
-    _check_ranges,
-    _measured,
-    _resampled,
-    _steps,
-    aligned,
-    in_metres,
-    moments,
-    odd_values,
-    standing_off,
-)
+from steerkit.logs import drive as drives
+from steerkit.logs.drive import aligned, in_metres, odd_values, standing_off
 from tests.support.recorded_cars import BASE, DT, by_rate, noisy
 
 
@@ -128,7 +118,7 @@ def test_a_heading_that_passes_180_degrees_goes_on() -> None:
 )
 def test_values_at_the_bounds_of_what_a_car_reaches(columns: dict[str, Any], taken: bool) -> None:
     with contextlib.nullcontext() if taken else pytest.raises(ValueError, match="a drive: "):
-        _check_ranges({key: np.array(value) for key, value in columns.items()}, "a drive")
+        drives._check_ranges({key: np.array(value) for key, value in columns.items()}, "a drive")
 
 
 ADVICE = {5e-4: "", 0.5: "", 4.9e-4: "min", 0.51: "column", 1.9: "column", 2.0: "ms", 249.0: "ms", 251.0: "column"}
@@ -139,18 +129,18 @@ ADVICE |= {2e3: "us", 2.4e5: "us", 2e6: "ns", 2.4e8: "ns", 3e8: "column", 1e-6: 
 def test_the_step_says_what_unit_the_time_is_in(step: float, advice: str) -> None:
     t = step * np.arange(11.0)
     if not advice:
-        assert _steps(t, "a drive", [])[0] == pytest.approx(step)
+        assert drives._steps(t, "a drive", [])[0] == pytest.approx(step)
     else:
         with pytest.raises(ValueError, match="right column" if advice == "column" else f"is t in {advice}"):
-            _steps(t, "a drive", [])
+            drives._steps(t, "a drive", [])
 
 
 @pytest.mark.parametrize(("step", "pause", "gap"), [(0.01, 0.25, 0), (0.01, 0.26, 1), (0.1, 0.5, 0), (0.1, 0.51, 1)])
 def test_a_gap_is_longer_than_five_steps_and_a_quarter_second(step: float, pause: float, gap: int) -> None:
     t, notes = np.cumsum([0.0] + [step] * 80 + [pause - 1e-9] + [step] * 80), list[str]()
-    assert _steps(t, "a drive", notes)[1].tolist() == [80] * gap
+    assert drives._steps(t, "a drive", notes)[1].tolist() == [80] * gap
     assert notes == [f"1 gaps, {pause:.1f} s in all (the longest {pause:.1f} s): bridged, not compared"] * gap
-    assert _measured(t, np.array([80]), t[80] + np.array([0.0, 1e-6, pause + 0.999, pause + 1.0])).tolist() == [
+    assert drives._measured(t, np.array([80]), t[80] + np.array([0.0, 1e-6, pause + 0.999, pause + 1.0])).tolist() == [
         *(t[80] >= 1.0, False, False, True)
     ]
 
@@ -159,16 +149,18 @@ def test_half_of_a_drive_may_be_gaps() -> None:
     for pause, taken in ((1.0, True), (1.02, False)):
         t = np.cumsum([0.0] + [1 / 64] * 32 + [pause] + [1 / 64] * 32)
         with contextlib.nullcontext() if taken else pytest.raises(ValueError, match="1 s of 2 s are gaps"):
-            _steps(t, "a drive", [])
+            drives._steps(t, "a drive", [])
 
 
 def test_what_is_finer_than_the_clock_is_averaged_and_no_car_reverses() -> None:
     t = 0.005 * np.arange(400)
-    even = _resampled({"t": t + 7.0, "v": np.where(t < 1.0, -0.5, 5.0), "r": (-1.0) ** np.arange(400)}, 0.01, 0.005)
+    even = drives._resampled(
+        {"t": t + 7.0, "v": np.where(t < 1.0, -0.5, 5.0), "r": (-1.0) ** np.arange(400)}, 0.01, 0.005
+    )
     assert even["t"] == pytest.approx(0.01 * np.arange(200))
     assert np.abs(even["r"][2:-2]).max() < 1e-12
     assert (even["v"][50], even["v"][150]) == (0.0, 5.0)
-    assert moments([3.0, -4.0]) == pytest.approx((12.5**0.5, -0.5))
+    assert drives.moments([3.0, -4.0]) == pytest.approx((12.5**0.5, -0.5))
 
 
 @pytest.mark.parametrize(
@@ -189,7 +181,7 @@ def test_what_is_finer_than_the_clock_is_averaged_and_no_car_reverses() -> None:
 def test_wheel_over_curvature_is_that_of_a_road_car(metres: float, says: str) -> None:
     drive = Drive.of(circling())
     with pytest.raises(ValueError, match=says) if says else contextlib.nullcontext():
-        _check_plausible(replace(drive, delta_sw=metres * drive.r / drive.v))
+        drives._check_plausible(replace(drive, delta_sw=metres * drive.r / drive.v))
 
 
 @pytest.mark.parametrize(("gain", "fits"), [(0.81, True), (1.24, True), (0.79, False), (1.26, False)])

@@ -14,8 +14,6 @@ from steerkit.logs.ros import typestore
 from tests.support.written_logs import driven, written
 
 pytest.importorskip("rosbags")
-
-
 BEGIN = 1_700_000_000_000_000_000
 
 
@@ -78,14 +76,8 @@ def test_odometry_and_a_steering_command_of_ackermann_make_a_drive(bag: Bag) -> 
         bag.put("/localization/kinematic_state", t, bag.odometry(t, 0.3 * np.sin(0.3 * t), v, v * delta / 2.9))
         if k % 5 == 0:
             for topic, angle in (("/ackermann", delta), ("/control/command/ackermann", -9.0)):
-                drive = bag.of(
-                    "ackermann_msgs/msg/AckermannDrive",
-                    steering_angle=angle,
-                    steering_angle_velocity=0.0,
-                    speed=v,
-                    acceleration=0.0,
-                    jerk=0.0,
-                )
+                zero = dict.fromkeys(("steering_angle_velocity", "acceleration", "jerk"), 0.0)
+                drive = bag.of("ackermann_msgs/msg/AckermannDrive", steering_angle=angle, speed=v, **zero)
                 stamped = bag.of("ackermann_msgs/msg/AckermannDriveStamped", header=bag.stamp(t), drive=drive)
                 bag.put(topic, t + 0.003, stamped)
     file = closed(bag)

@@ -73,6 +73,8 @@ def test_progress_is_all_of_the_way_that_s_has_made(e, off):
 def test_beyond_the_end_of_an_open_path_neither_s_nor_progress_goes_on():
     path = courses.straight(50.0)
     tracker = PathTracker(path=path, dt=0.05)
+    before = tracker.output(0.0, tracker.settle(0.0, tracker.init(), at := inputs(tracker, (-7.0, 0.4, 0.1))), at)
+    assert (before.s, before.e, before.psi_e) == pytest.approx((0.0, 0.4, 0.1), abs=1e-8)
     u = inputs(tracker, (45.0, 0.3, 0.0), beta=0.0, r=0.0)
     state = tracker.settle(0.0, tracker.init(), u)
     for k in range(60):

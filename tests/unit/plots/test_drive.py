@@ -12,15 +12,9 @@ def drive(width: float = 120.0, depth: float = 40.0, seconds: float = 660.0) -> 
     t = np.linspace(0.0, seconds, 2000)
     turn = 2.0 * np.pi * t / seconds
     zero = np.zeros_like(t)
-    signals = {
-        "path.e": 0.1 * np.sin(9.0 * turn),
-        "path.progress": 5.0 * t,
-        "supervisor.learning": zero + 1.0,
-        "car.x": 0.5 * width * np.cos(turn),
-        "car.y": 0.5 * depth * np.sin(turn),
-        "car.delta_sw": zero,
-        "car.a_y": zero,
-    }
+    signals = {"path.e": 0.1 * np.sin(9.0 * turn), "path.progress": 5.0 * t, "supervisor.learning": zero + 1.0}
+    signals |= {"car.x": 0.5 * width * np.cos(turn), "car.y": 0.5 * depth * np.sin(turn)}
+    signals |= {"car.delta_sw": zero, "car.a_y": zero}
     return Log(t, signals, dict.fromkeys(signals, ""))
 
 

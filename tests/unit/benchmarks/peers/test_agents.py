@@ -12,8 +12,6 @@ from benchmarks.scenarios import scene
 from steerkit.vehicles import vehicle
 
 STEP = scene(name="step", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0})
-
-
 PASSAT = vehicle("vw-passat")
 
 

@@ -27,8 +27,6 @@ LOOP = suite_loop(SCENARIO, Stanley.of(SCENARIO.nominal))
 V = 5.0
 
 STEP = scene(name="step", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0})
-
-
 PASSAT = vehicle("vw-passat")
 
 
@@ -85,19 +83,14 @@ def log_of(metres: float, *, learned: bool = False, **changes: Any) -> Log:
     """A drive of so many metres at 5 m/s and 20 Hz, straight on at e = 0.1 m; changes: functions of progress."""
     t = np.arange(round(20.0 * metres / V) + 1) * 0.05
     progress = V * t
+    zero = ("path.psi_e", "car.psi", "car.delta_sw", "actuator.rate", "car.a_y")
     signals = {
         "path.s": progress + 5.0,
         "path.progress": progress,
-        "path.e": np.full_like(t, 0.1),
-        "path.psi_e": np.zeros_like(t),
         "car.x": progress + 5.0,
-        "car.y": np.full_like(t, 0.1),
-        "car.psi": np.zeros_like(t),
         "car.v": np.full_like(t, V),
-        "car.delta_sw": np.zeros_like(t),
-        "actuator.rate": np.zeros_like(t),
-        "car.a_y": np.zeros_like(t),
     }
+    signals |= dict.fromkeys(("path.e", "car.y"), np.full_like(t, 0.1)) | dict.fromkeys(zero, np.zeros_like(t))
     if learned:
         signals["supervisor.learning"] = np.ones_like(t)
     signals |= {name.replace("__", "."): change(progress) for name, change in changes.items()}

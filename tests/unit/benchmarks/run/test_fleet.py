@@ -10,33 +10,11 @@ from benchmarks.run import fleet
 from benchmarks.run.fleet import KINDS, FleetOutcome, first_good, of_fleet, of_kind, one_car, summarise
 from steerkit.learning.settings import setting
 
-GOOD = FleetOutcome(
-    name="fleet-0",
-    seed=0,
-    car="a",
-    delay=0.1,
-    lag=0.2,
-    offset_deg=1.0,
-    play_deg=0.0,
-    dead_samples=3,
-    good=10.0,
-    failures=1,
-    departure=2.0,
-    stuck=0,
-    nets=30,
-    held=True,
-    rms_e=0.01,
-    max_e=0.1,
-    wheel_rate_deg=40.0,
-    jerk_rms=0.4,
-    best="mpc",
-    rms_x_oracle=0.9,
-    wheel_x_oracle=1.0,
-    jerk_x_oracle=1.1,
-    best_on_data_sheet="stanley",
-    rms_x_data_sheet=0.3,
-    computing=20.0,
-)
+CAR = dict(name="fleet-0", seed=0, car="a", delay=0.1, lag=0.2, offset_deg=1.0, play_deg=0.0, dead_samples=3)
+LEARNT = dict(good=10.0, failures=1, departure=2.0, stuck=0, nets=30, held=True, computing=20.0)
+DROVE = dict(rms_e=0.01, max_e=0.1, wheel_rate_deg=40.0, jerk_rms=0.4, rms_x_data_sheet=0.3)
+BESIDE = dict(best="mpc", rms_x_oracle=0.9, wheel_x_oracle=1.0, jerk_x_oracle=1.1, best_on_data_sheet="stanley")
+GOOD = FleetOutcome(**CAR, **LEARNT, **DROVE, **BESIDE)
 
 
 def test_medians_and_worst_cases_count_a_car_that_never_got_there_as_infinite() -> None:

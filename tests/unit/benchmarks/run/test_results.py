@@ -112,13 +112,9 @@ def test_a_run_is_not_resumed_with_other_sources_or_package_versions(results: Re
 
 def test_a_suite_that_joins_later_leaves_the_first_ones_cases(results: Results) -> None:
     place, store = results.place, Store(results.place)
-    later = {
-        **results.provenance,
-        "suites": {"weather": "later"},
-        "scenarios": {"windy": {"course.name": "paper", "disturbances.wind": 1.0, "told": [1, 2]}},
-        "planned": ["weather--windy--stanley--s9"],
-        "seeds": [9],
-    }
+    windy = {"course.name": "paper", "disturbances.wind": 1.0, "told": [1, 2]}
+    later = {**results.provenance, "suites": {"weather": "later"}, "scenarios": {"windy": windy}}
+    later |= {"planned": ["weather--windy--stanley--s9"], "seeds": [9]}
     store.open(later)
     assert not (place / "cases.parquet").exists()  # it would hide what is done from now on
     assert [case.id for case in load_results(place).cases] == [case.id for case in results.cases]

@@ -13,21 +13,9 @@ import pytest
 from benchmarks.run.safe_learning import Job, Learner, one_run, runs, stored, summarise
 from steerkit.scenario import Scenario
 
-GOOD = Learner(
-    car="single track",
-    seed=0,
-    minutes=3.0,
-    safe=True,
-    code="a",
-    max_e=0.2,
-    good=5.0,
-    failures=1,
-    interventions_pct=0.5,
-    final_rms_e=0.011,
-    drive_s=10.0,
-    trainings_s=4.0,
-    judging_s=2.0,
-)
+SECONDS = dict(drive_s=10.0, trainings_s=4.0, judging_s=2.0)
+FOUND = dict(max_e=0.2, good=5.0, failures=1, interventions_pct=0.5, final_rms_e=0.011)
+GOOD = Learner(car="single track", seed=0, minutes=3.0, safe=True, code="a", **FOUND, **SECONDS)
 CAR = Scenario(name="single track")
 
 

@@ -10,20 +10,10 @@ from benchmarks.run import sources
 from benchmarks.run.sources import identity, source, versions
 from tests.support.places import ROOT
 
-MAKES_NUMBERS = (
-    "steerkit/learning/nfq/kernel.c",
-    "steerkit/paths/courses/genesis.csv",
-    "benchmarks/suites.py",
-    "benchmarks/run/drives.py",
-    "benchmarks/peers/agents.py",
-)
-READS_ONLY = (
-    "benchmarks/app.py",
-    "benchmarks/report/report.html.j2",
-    "benchmarks/studies/throughput.py",
-    "benchmarks/run/compare.py",
-    "benchmarks/run/golden.py",
-)
+MAKES_NUMBERS = [f"benchmarks/{one}" for one in ("suites.py", "run/drives.py", "peers/agents.py")]
+MAKES_NUMBERS += ["steerkit/learning/nfq/kernel.c", "steerkit/paths/courses/genesis.csv"]
+READ = ("app.py", "report/report.html.j2", "studies/throughput.py", "run/compare.py", "run/golden.py")
+READS_ONLY = [f"benchmarks/{one}" for one in READ]
 
 
 @pytest.mark.parametrize("everything", [False, True])

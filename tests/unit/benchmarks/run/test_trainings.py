@@ -15,16 +15,8 @@ from steerkit.learning.learner_state import Counts, Episode
 from steerkit.metrics import GOOD, Summary
 from steerkit.scenario import Scenario
 
-FINE = Summary(
-    duration=130.0,
-    rms_e=0.02,
-    max_e=0.1,
-    share_within_5cm=0.9,
-    rms_wheel_rate_deg=30.0,
-    max_a_y=3.0,
-    rms_jerk=1.0,
-    max_jerk=3.0,
-)
+FELT = dict(rms_wheel_rate_deg=30.0, max_a_y=3.0, rms_jerk=1.0, max_jerk=3.0)
+FINE = Summary(duration=130.0, rms_e=0.02, max_e=0.1, share_within_5cm=0.9, **FELT)
 HELD = TrialDrive(rounds=1.0, held=True, summary=FINE)
 
 

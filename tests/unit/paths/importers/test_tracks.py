@@ -194,14 +194,9 @@ def test_four_points_with_times_of_their_own_are_the_fewest() -> None:
 def test_a_wrong_position_is_refused(by: tuple[float, float], timed: bool) -> None:
     xy, t = track(36.0)
     xy[14] += by
+    told = dict(name="lap", noise=0.5, closed=False, drawn=False)
     with pytest.raises(ValueError, match=r"point 1[45].* a wrong position"):
-        laid(
-            cleaned(xy, t if timed else nothing(t), nothing(t), 0.5, "lap")[0],
-            name="lap",
-            noise=0.5,
-            closed=False,
-            drawn=False,
-        )
+        laid(cleaned(xy, t if timed else nothing(t), nothing(t), 0.5, "lap")[0], **told)
 
 
 def test_time_that_runs_back_is_refused() -> None:
