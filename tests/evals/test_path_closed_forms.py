@@ -140,17 +140,6 @@ def test_smoothing_recovers_a_circle_from_noisy_points():
     assert np.abs(path.samples.kappa - 1.0 / 30.0).max() < 0.01
 
 
-def test_gps_positions_become_metres_east_and_north():
-    pymap3d = pytest.importorskip("pymap3d")
-    angle = np.linspace(0.0, 2.0 * math.pi, 400, endpoint=False)
-    east, north = 80.0 * np.sin(angle), 80.0 * (1.0 - np.cos(angle))
-    lat, lon, _ = pymap3d.enu2geodetic(east, north, 0.0, 52.3, 10.5, 0.0)
-    path = Path.from_gps(lat, lon, closed=True, smoothing=0.0)
-    assert path.length == pytest.approx(160.0 * math.pi, abs=1e-3)
-    assert np.abs(np.hypot(path.samples.xy[:, 0], path.samples.xy[:, 1] - 80.0) - 80.0).max() < 1e-3
-    assert np.abs(path.samples.kappa - 1.0 / 80.0).max() < 1e-5
-
-
 WAYPOINTS = courses.random_course(3, length=120.0, max_kappa=0.15).samples.xy[:-1:3]
 
 

@@ -74,16 +74,13 @@ def learnt(seed: int) -> tuple[Case, dict[str, np.ndarray]]:
     rms_e = np.where(good, 0.02, np.where(t > 0.5 * ready, 0.15, math.nan))
     curve = dict(t=t, transitions=20.0 * t, failures=t / 20.0, rms_e=rms_e, max_e=3.0 * rms_e)
     curve |= {"held": np.isfinite(rms_e) * 1.0, "rounds": np.where(good, 1.0, 0.4)}
-    curve |= {"rms_wheel_rate_deg": np.full_like(t, 60.0)} | dict.fromkeys(
-        ("max_a_y", "max_jerk"), np.full_like(t, 3.0)
-    )
-    curve |= {"episode_began": t, "episode_ended": t + 5.0}
+    curve |= {"rms_wheel_rate_deg": np.full_like(t, 60.0), "max_a_y": np.full_like(t, 3.0)}
+    curve |= {"max_jerk": np.full_like(t, 3.0), "episode_began": t, "episode_ended": t + 5.0}
     curve |= {"episode_distance": np.full_like(t, 25.0), "episode_rms_e": np.full_like(t, 0.1)}
     metrics = {f"{what}_minutes": ready / 60.0 for what in ("round", "good")}
     metrics |= {"round_episodes": ready / 20.0, "good_episodes": ready / 20.0, "transitions": 6000.0}
-    return Case(
-        suite="training", scenario="train-clean", controller="nfq-idoe", seed=seed, kind="learn", metrics=metrics
-    ), curve
+    about = dict(suite="training", scenario="train-clean", controller="nfq-idoe", kind="learn")
+    return Case(**about, seed=seed, metrics=metrics), curve
 
 
 def write(place: Path, *, seeds: tuple[int, ...] = SEEDS, grid: bool = True) -> Results:

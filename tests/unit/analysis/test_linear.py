@@ -6,16 +6,8 @@ import control
 import numpy as np
 import pytest
 
-from steerkit.analysis import (
-    FromControl,
-    NotTimeInvariantError,
-    break_at,
-    linearise,
-    margins,
-    over,
-    step_response,
-    to_control,
-)
+from steerkit import analysis
+from steerkit.analysis import FromControl, break_at, linearise, margins
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
@@ -92,8 +84,8 @@ def test_margins_say_when_the_simulation_swings() -> None:
 
 def test_prediction_gives_stanley_back_its_delay_margin() -> None:
     speeds = [4.0, 9.0]
-    predicted = over(lambda v: steered(v), speeds, "controller.delta_sw")
-    textbook = over(lambda v: steered(v, Stanley.textbook(PASSAT)), speeds, "controller.delta_sw")
+    predicted = analysis.over(lambda v: steered(v), speeds, "controller.delta_sw")
+    textbook = analysis.over(lambda v: steered(v, Stanley.textbook(PASSAT)), speeds, "controller.delta_sw")
     assert all(point.margins is not None and point.margins.delay > 0.15 for point in predicted)
     assert textbook[1].margins is None
     assert abs(textbook[1].poles[0]) > 1.0
@@ -114,7 +106,7 @@ def test_in_a_bend_it_says_that_the_pose_turns() -> None:
         car=car, path=path, driver=ConstantSpeed(speed=5.0), controller=Stanley.of(PASSAT), reference=PASSAT.l_f
     )
     steady = simulate(loop, 20.0).state
-    with pytest.raises(NotTimeInvariantError, match="start on a straight path at a constant speed"):
+    with pytest.raises(analysis.NotTimeInvariantError, match="start on a straight path at a constant speed"):
         break_at(loop, "controller.delta_sw", at=steady)
     once = linearise(loop, inputs=["controller.delta_sw"], outputs=["path.e"], at=steady, invariant=False)
     assert once.nstates > 0
@@ -131,8 +123,8 @@ def test_a_fast_signal_is_lifted_and_has_no_margins() -> None:
 
 
 def test_a_linear_loop_answers_a_step_as_its_simulation_does() -> None:
-    t, y = step_response(linearise(steered(), inputs=["car.psi"], outputs=["car.r"]), 1.0)
-    system = to_control(steered(), inputs=["car.psi"], outputs=["car.r"])
+    t, y = analysis.step_response(linearise(steered(), inputs=["car.psi"], outputs=["car.r"]), 1.0)
+    system = analysis.to_control(steered(), inputs=["car.psi"], outputs=["car.r"])
     response = control.input_output_response(system, t, np.full(len(t), 1e-4), system.params["x0"])
     np.testing.assert_allclose(y, np.asarray(response.outputs).ravel() / 1e-4, atol=1e-3 * np.abs(y).max())
 

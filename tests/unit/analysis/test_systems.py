@@ -52,10 +52,8 @@ def test_a_system_of_python_controls_runs_as_it_does_there() -> None:
 
 def test_a_diagram_of_python_controls_is_a_block_too() -> None:
     """`interconnect` of a nonlinear plant and a filter, discrete: the same steps, also in a batch."""
-    ports = dict(states=1, inputs=["u"], outputs=["y"], name="plant", params={"a": 0.9})
-    plant = control.nlsys(
-        lambda t, x, u, p: [p["a"] * x[0] + np.sin(u[0])], lambda t, x, u, p: [x[0]], dt=0.05, **ports
-    )
+    ports = dict(dt=0.05, states=1, inputs=["u"], outputs=["y"], name="plant", params={"a": 0.9})
+    plant = control.nlsys(lambda t, x, u, p: [p["a"] * x[0] + np.sin(u[0])], lambda t, x, u, p: [x[0]], **ports)
     law = control.ss([[0.5]], [[1.0]], [[0.3]], [[0.2]], 0.05, inputs=["e"], outputs=["w"], name="law")
     system = control.interconnect(
         [plant, law], [["plant.u", "law.w"], ["law.e", "-plant.y"]], ["law.e"], ["plant.y"], inputs=["r"], outputs=["y"]

@@ -53,11 +53,8 @@ def test_a_simulated_run_is_read_back_bit_for_bit(lap: Log, tmp_path: Path) -> N
     counts = to_mcap(lap, tmp_path / "run.mcap")
     found = messages(tmp_path / "run.mcap")
     assert set(counts) == set(found) - {"/scene/driven"}
-    for topic, field, signal in (
-        ("/path", "e", "path.e"),
-        ("/car", "v", "car.v"),
-        ("/wheel", "delta_sw", "car.delta_sw"),
-    ):
+    for words in ("/path e path.e", "/car v car.v", "/wheel delta_sw car.delta_sw"):
+        topic, field, signal = words.split()
         assert [values[field] for _, values in found[topic]] == lap[signal].tolist()
     assert [when for when, _ in found["/path"]] == [BEGIN + round(t * 1e9) for t in lap.t.tolist()]
     pose = found["/scene/pose"][-1][1]["pose"]

@@ -1,7 +1,9 @@
 """Every kind of file gives the same drive; what is none teaches."""
 
 import gzip
+import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from scipy.io import savemat
 
 from steerkit.diagram.units import degrees_of
 from steerkit.identification import Drive, read_drive
+from steerkit.logs import tables
 from steerkit.logs.reading import agreement
 from tests.support.recorded_cars import by_rate, driven
 
@@ -97,6 +100,48 @@ def test_a_file_that_is_none_teaches(name: str, content: bytes, says: str, tmp_p
         read_drive(tmp_path / name)
     with pytest.raises(ValueError, match="cannot be read"):
         read_drive(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "rows", "told"),
+    [
+        ("\ufefft,v,w\n# 9,9,9\n\n1,2,3\r\n4,5\n6,7,8\n", [[1, 2, 3], [6, 7, 8]], "1 rows .* in the middle"),
+        (f"t,v,w\n1,2,3\n4,5,x\n{'7' * 140_000},8,9\n", [[1, 2, 3], [4, 5, np.nan]], "1 rows .* the last one"),
+        ("t;v,m;w\n1;2,5;3\n4;5;6\n", [[1, 2.5, 3], [4, 5, 6]], ""),
+    ],
+)
+def test_rows_of_another_length_are_told_and_left_out(text: str, rows: Any, told: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8", newline="")
+    notes: list[str] = []
+    (table,) = tables.read_csv(tmp_path / "a.csv", (), notes)
+    np.testing.assert_array_equal(list(table.columns.values()), np.transpose(rows))
+    assert re.fullmatch(f"dropped {told}.*", notes[0]) if told else not notes
+
+
+def test_of_arrays_those_are_read_that_hold_numbers_and_of_the_commonest_length(tmp_path: Path) -> None:
+    word, long = np.array(["a", "b"]), np.arange(9.0)
+    np.savez(tmp_path / "a.npz", t=[0.0, 1.0], on=[True, False], n=[3, 4], word=word, one=[1.0], long=long)
+    notes: list[str] = []
+    (table,) = tables.read_npz(tmp_path / "a.npz", (), notes)
+    assert {name: values.tolist() for name, values in table.columns.items()} == {"t": [0, 1], "on": [1, 0], "n": [3, 4]}
+    assert notes == ["left out long (9): not of the others' length, 2"]
+
+
+def test_of_an_mdf_file_those_channels_are_read_that_hold_numbers_each_with_its_time() -> None:
+    def signal(*samples: Any, t: Any = (0.0, 0.1), **more: Any) -> SimpleNamespace:
+        about = {"invalidation_bits": None, "unit": "m"} | more
+        return SimpleNamespace(samples=np.array(samples), timestamps=t, **about)
+
+    held = {"t": signal(0.0, 0.1), "v": signal(1, 2, invalidation_bits=[0, 1]), "word": signal("a", "b")}
+    held |= {"r": signal(3.0, 4.0, unit=None), "pairs": signal([1, 2], [3, 4])} | {k: signal(1.0) for k in ("p", "q")}
+    channels = [SimpleNamespace(name=name) for name in held]
+    groups = [SimpleNamespace(channels=channels, channel_group=SimpleNamespace(flags=flags)) for flags in (0x1, 0x2)]
+    file = SimpleNamespace(groups=groups, masters_db={0: 0}, get=lambda group, index: list(held.values())[index])
+    notes: list[str] = []
+    (table,) = tables._tables(file, notes)
+    np.testing.assert_array_equal(list(table.columns.values()), [[1.0, np.nan], [3.0, 4.0]])
+    assert (list(table.columns), table.units, table.t.tolist()) == (["v", "r"], {"v": "m", "r": ""}, [0.0, 0.1])
+    assert notes == ["left out 2 channels that have not as many values as times"]
 
 
 def test_files_cut_off_are_used_up_to_there(clean: dict[str, Any], tmp_path: Path) -> None:

@@ -65,10 +65,7 @@ def test_what_is_no_drive_is_refused(changes: dict[str, Any], message: str) -> N
 
 
 def test_step_times_are_quantiles_and_no_missing_measurement() -> None:
-    assert metrics.step_times(np.arange(101) * 1e-6) == {
-        "step_p50_us": pytest.approx(50.0),
-        "step_p99_us": pytest.approx(99.0),
-    }
+    assert metrics.step_times(np.arange(101) * 1e-6) == pytest.approx({"step_p50_us": 50.0, "step_p99_us": 99.0})
     for bad in ([], [1e-6, math.nan], [-1e-6]):
         with pytest.raises(ValueError, match="of finite seconds >= 0"):
             metrics.step_times(bad)

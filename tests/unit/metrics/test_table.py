@@ -48,22 +48,12 @@ def drive_of_sines(**changes: Any) -> dict[str, Any]:
 def test_a_drive_of_sines_has_the_metrics_of_sines() -> None:
     found = metrics.measures(**drive_of_sines())
     w = 2.0 * math.pi * 0.2
-    expected = {
-        "rms_e": 0.3 / math.sqrt(2.0),
-        "max_e": 0.3,
-        "p95_e": 0.3 * math.sin(math.pi / 2.0 * 0.95),
-        "share_within_25cm": 2.0 / math.pi * math.asin(0.25 / 0.3),
-        "time_over_50cm": 0.0,
-        "rms_psi_e_deg": 2.0 / math.sqrt(2.0),
-        "max_psi_e_deg": 2.0,
-        "rms_wheel_rate_deg": 10.0 * w / math.sqrt(2.0),
-        "rms_wheel_acceleration_deg": 10.0 * w**2 / math.sqrt(2.0),
-        "max_wheel_acceleration_deg": 10.0 * w**2,
-        "large_reversals": 24.0,
-        "small_reversals": 24.0,
-        "max_a_y": 1.5,
-        "weighted_a_y": 1.5 / math.sqrt(2.0) * 0.853,
-    }
+    rms = 1.0 / math.sqrt(2.0)
+    expected = dict(rms_e=0.3 * rms, max_e=0.3, p95_e=0.3 * math.sin(math.pi / 2.0 * 0.95), time_over_50cm=0.0)
+    expected |= dict(share_within_25cm=2.0 / math.pi * math.asin(0.25 / 0.3), max_a_y=1.5)
+    expected |= dict(rms_psi_e_deg=2.0 * rms, max_psi_e_deg=2.0, large_reversals=24.0, small_reversals=24.0)
+    expected |= dict(rms_wheel_rate_deg=10.0 * w * rms, rms_wheel_acceleration_deg=10.0 * w**2 * rms)
+    expected |= dict(max_wheel_acceleration_deg=10.0 * w**2, weighted_a_y=1.5 * rms * 0.853)
     for name, value in expected.items():
         assert found[name] == pytest.approx(value, rel=0.015, abs=1e-9), name
 

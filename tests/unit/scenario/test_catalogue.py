@@ -15,16 +15,8 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
-from steerkit.scenario import Scenario
-from steerkit.scenario.catalogue import (
-    CONTROLLERS,
-    ELEMENTS,
-    DesignModel,
-    make_controller,
-    make_element,
-    make_recovery,
-    make_safety,
-)
+from steerkit.scenario import Scenario, catalogue
+from steerkit.scenario.catalogue import CONTROLLERS, DesignModel, make_controller, make_element, make_recovery
 from steerkit.vehicles import vehicle
 from tests.support.own_controller import own_controller
 
@@ -63,7 +55,7 @@ def test_the_others_are_made_for_the_delay() -> None:
     assert look > make_controller("pure-pursuit", replace(BELIEF, delay=0.0)).look_time  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", ELEMENTS)
+@pytest.mark.parametrize("name", catalogue.ELEMENTS)
 def test_an_element_ends_at_the_stops(name: str) -> None:
     doe = make_element(name, NARROW.vehicle)
     assert doe.output(0.0, doe.init(), doe.D(action=9.0)).delta_sw <= radians_of(300.0)
@@ -71,7 +63,7 @@ def test_an_element_ends_at_the_stops(name: str) -> None:
 
 
 def test_a_safety_filter_is_told_what_the_others_are() -> None:
-    filter = make_safety(replace(NARROW, delay=0.15, lag=0.07, rate_limit=3.0))
+    filter = catalogue.make_safety(replace(NARROW, delay=0.15, lag=0.07, rate_limit=3.0))
     model, law = filter.backup.model, filter.backup.block
     assert (model.delay, model.lag, model.rate_limit, law.rate_limit) == (0.15, 0.07, 3.0, 3.0)
     assert (law.limit, model.steer_ratio) == (radians_of(300.0), NARROW.vehicle.steer_ratio)
@@ -120,11 +112,11 @@ def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
     ("ask", "message"),
     [
         (lambda: make_controller("stanly", BELIEF), r"controller 'stanly' is not known \(did you mean 'stanley'\?\)"),
-        (lambda: make_safety(replace(BELIEF, slew=5.0)), "slew = 5.0 .*expected none: the filter is for cars whose"),
         (
-            lambda: make_recovery("lqr", BELIEF),
-            "recovery 'lqr' is not known.*; valid: auto, adaptive, stanley, stanley-delay",
+            lambda: catalogue.make_safety(replace(BELIEF, slew=5.0)),
+            "slew = 5.0 .*expected none: the filter is for cars whose",
         ),
+        (lambda: make_recovery("lqr", BELIEF), "recovery 'lqr' is not known.*; valid: auto, adaptive"),
         (lambda: make_element("integral"), "did you mean 'integrator'"),
         (lambda: replace(BELIEF, lag=-1.0), r"lag = -1.0 \[s\], expected 0 to 10"),
         (lambda: replace(BELIEF, delay=3.0), r"delay = 3.0 \[s\], expected 0 to 2"),

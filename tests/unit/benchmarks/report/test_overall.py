@@ -17,18 +17,13 @@ KINDS = {"net": "learned", "poor-net": "learned", "stanley": "analytic", "mpc": 
 def made(place: Path, seeds: int, lost: tuple[tuple[str, str, int], ...] = (), **sizes: float) -> Results:
     """Drives of two scenarios: each controller's RMS e about its size, all else the same."""
     rng = np.random.default_rng(0)
+
+    def told(name: str, scenario: str, seed: int, size: float) -> dict[str, float]:
+        own = {"rms_e": size * rng.uniform(0.97, 1.03), "held": float((name, scenario, seed) not in lost)}
+        return dict.fromkeys(JUDGED, 1.0) | own
+
     cases = tuple(
-        Case(
-            suite="s",
-            scenario=scenario,
-            controller=name,
-            seed=seed,
-            metrics={
-                **dict.fromkeys(JUDGED, 1.0),
-                "rms_e": size * scale * rng.uniform(0.97, 1.03),
-                "held": float((name, scenario, seed) not in lost),
-            },
-        )
+        Case(suite="s", scenario=scenario, controller=name, seed=seed, metrics=told(name, scenario, seed, size * scale))
         for name, size in sizes.items()
         for scenario, scale in (("easy", 0.01), ("hard", 0.05))
         for seed in range(seeds)

@@ -13,6 +13,7 @@ from tests.support.places import SUPPORT
 from tests.support.report_results import CONTROLLERS
 
 PHONE, DESK = (390, 844), (1360, 900)
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome: the page was not tried in a browser")
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +69,7 @@ def browsed(page: str, size: tuple[int, int], tmp_path: Path) -> dict[str, Any]:
     return shown(file.as_uri(), tmp_path)
 
 
-@pytest.mark.skipif(
-    BROWSER is None, reason="no Chromium or Chrome is installed, so the page was not tried in a browser"
-)
+@needs_browser
 @pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
 def test_a_browser_shows_the_page_without_errors_and_nothing_sticks_out(
     page: str, size: tuple[int, int], tmp_path: Path
@@ -90,9 +89,7 @@ def test_a_browser_shows_the_page_without_errors_and_nothing_sticks_out(
     assert orders["aria"] == "descending"
 
 
-@pytest.mark.skipif(
-    BROWSER is None, reason="no Chromium or Chrome is installed, so the page was not tried in a browser"
-)
+@needs_browser
 def test_the_browser_test_sees_an_error_and_an_overflow(page: str, tmp_path: Path) -> None:
     broken = page.replace("</main>", '<div style="width: 3000px">.</div><script>nothing.there()</script></main>', 1)
     found = browsed(broken, PHONE, tmp_path)

@@ -1,12 +1,14 @@
 """CommonRoad scenarios, Lanelet2 maps and plain ways of OSM."""
 
 from pathlib import Path as FilePath
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from steerkit.paths.importers import contents, read_course
-from steerkit.paths.importers.lanelets import commonroad, osm
+from steerkit.paths.importers.lanelets import _chained, commonroad, osm
 from tests.support import road_files
 
 
@@ -50,14 +52,8 @@ def test_commonroads_lanelets_and_routes(tmp_path: FilePath) -> None:
     [
         (lanelet(1, 0, 40) + lanelet(1, 0, 40), "two lanelets of the name 1"),
         ('<lanelet id="1"/>', "leftBound of 0 points, expected 2 or more"),
-        (
-            f'<lanelet id="1">{bound("left", 30, 0, 9)}{bound("right", 0, 0, 9)}</lanelet>',
-            "30 m apart, expected at most 20",
-        ),
-        (
-            f'<lanelet id="1">{bound("left", 0, 0, 9)}{bound("right", 3, 0, 9)}</lanelet>',
-            "its left bound is on the right",
-        ),
+        (f'<lanelet id="1">{bound("left", 30, 0, 9)}{bound("right", 0, 0, 9)}</lanelet>', "30 m apart, expected"),
+        (f'<lanelet id="1">{bound("left", 0, 0, 9)}{bound("right", 3, 0, 9)}</lanelet>', "left bound is on the right"),
         ("", "holds no lanelets"),
     ],
 )
@@ -126,6 +122,20 @@ def test_ways_meet_at_nodes_and_run_both_ways_unless_told(tmp_path: FilePath) ->
     two = osm(str(osm_file(file, way(11, 1, 2, 3, highway="road"), way(12, 5, 2, highway="road"))))
     line, *_ = two.route({"way": "12", "to": "11"}, "")  # both ways are as near: as it was drawn
     assert line.xy[-1, 0] > 59.0
+
+
+def test_a_way_is_driven_as_its_tags_say(tmp_path: FilePath) -> None:
+    for key, tag, driven in (("oneway", "-1", "11/0-"), ("junction", "roundabout", "11/0"), ("oneway", "yes", "11/0")):
+        file = osm_file(tmp_path / "a.osm", way(11, 1, 2, highway="road", **{key: tag}))
+        assert list(osm(str(file)).pieces) == [driven]
+
+
+@pytest.mark.parametrize("ways", ["12 23 37", "21 23 73", "23 12 37", "23 73 21", "73 21 32"])
+def test_the_ways_of_a_bound_are_put_in_line(ways: str) -> None:
+    data: Any = SimpleNamespace(ways={name: (np.array([*map(int, name)]), {}) for name in (*ways.split(), "45")})
+    assert _chained(ways.split(), data, "a") in ([1, 2, 3, 7], [7, 3, 2, 1])
+    with pytest.raises(ValueError, match="the ways of its bound do not meet"):
+        _chained([*ways.split(), "45"], data, "a")
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,8 @@ def test_in_left_hand_traffic_it_is_the_other_way_round(tmp_path: FilePath) -> N
     left, right = centre(file, "1", 1), centre(file, "1", -1)
     assert left.xy[[0, -1]] == pytest.approx(np.array([[0.0, 1.75], [100.0, 1.75]]), abs=1e-9)
     assert right.xy[0] == pytest.approx([100.0, -1.75], abs=1e-9)
+    turned = section(0.0, right=lane(-1).replace("<lane ", '<lane direction="reversed" '))
+    assert centre(road_files.by_hand(file, STRAIGHT, length=100.0, lanes=turned), "1", -1).xy[0, 0] > 99.9
 
 
 def test_offset_and_widths_that_change(tmp_path: FilePath) -> None:
@@ -96,11 +98,12 @@ def test_a_lane_goes_on_through_sections_under_another_number(tmp_path: FilePath
 def test_speeds_of_road_and_lane(tmp_path: FilePath) -> None:
     road = '<type s="0" type="town"><speed max="50" unit="km/h"/></type>'
     road += '<type s="60" type="rural"><speed max="no limit"/></type>'
-    lanes = section(0.0, right=lane(-1, more='<speed sOffset="20" max="5" unit="m/s"/>') + lane(-2))
+    speeds = '<speed sOffset="20" max="5" unit="m/s"/><speed sOffset="60" max="4"/>'
+    lanes = section(0.0, right=lane(-1, more=speeds) + lane(-2))
     file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, lanes=lanes, more=road)
     limit = centre(file, "1", -1).v_limit
     assert limit is not None
-    assert (limit[0], limit[-1]) == (pytest.approx(50.0 / 3.6), 5.0)
+    assert (limit[0], limit[80], limit[-1]) == (pytest.approx(50.0 / 3.6), 5.0, 4.0)
     limit = centre(file, "1", -2).v_limit
     assert limit is not None
     assert limit[100] == pytest.approx(50.0 / 3.6)
@@ -134,22 +137,28 @@ def test_routes_through_a_junction(tmp_path: FilePath) -> None:
         read_course(f"{file}#road=9")
     with pytest.raises(ValueError, match=r"which lane of road 1.*: 1, -1"):
         read_course(f"{file}#road=1")
-    with pytest.raises(
-        ValueError, match=r"which road\? choose one, FILE#road=...: road 1 \(lane 1, -1, 60 m\); road 2"
-    ):
+    with pytest.raises(ValueError, match=r"which road\? choose one, FILE#road=...: road 1 \(lane 1, -1, 60 m\)"):
         read_course(str(file))
+
+
+def two(s: str = "100", x: str = "100", heading: str = "0") -> str:
+    return STRAIGHT + STRAIGHT.replace('s="0" x="0" y="0" hdg="0"', f's="{s}" x="{x}" y="0" hdg="{heading}"')
+
+
+def test_small_gaps_are_told_and_driven(tmp_path: FilePath) -> None:
+    for x, told in (("100.19", ("a reference line with gaps above 0.02 m: read but not used",)), ("100.019", ())):
+        file = road_files.by_hand(tmp_path / "a.xodr", two("100.2", x, "0.09"), length=200.1)
+        assert [note[:20] for note in contents(str(file)).notes] == [note[:20] for note in told]
 
 
 @pytest.mark.parametrize(
     ("geometry", "length", "message"),
     [
         (STRAIGHT, 150.0, "its geometry is 100.000 m long, the road 150.000 m"),
-        (STRAIGHT + STRAIGHT.replace('s="0" x="0"', 's="100" x="101"'), 200.0, "torn by 1.00 m at s = 100.0 m"),
-        (
-            STRAIGHT + STRAIGHT.replace('s="0" x="0" y="0" hdg="0"', 's="100" x="100" y="0" hdg="0.2"'),
-            200.0,
-            "kink of 0.20",
-        ),
+        (two("100", "100.21"), 200.0, "torn by 0.21 m at s = 100.0 m"),
+        (two("100", "100", "0.11"), 200.0, "kink of 0.11"),
+        (two("100.22"), 200.0, "its geometry leaves out 0.22 m at s = 100.2 m"),
+        (STRAIGHT, 100.12, "its geometry is 100.000 m long"),
         (STRAIGHT.replace("<line/>", "<curve/>"), 100.0, "holds curve; known: line, arc, spiral"),
         (STRAIGHT.replace('length="100"', 'length="1e"'), 100.0, "length: is '1e', expected a number"),
         (STRAIGHT.replace('length="100"', 'length="-1"'), 100.0, "is -1.0 m long"),
