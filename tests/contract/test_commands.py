@@ -75,13 +75,7 @@ class Shell:
             )
 
     def run(self, line: str) -> subprocess.CompletedProcess[str]:
-        """Run a line to its end: a command alone in a fork of this process, any other (or for completion) in bash.
-
-        Of commands joined by `&&`, which are run one by one, it is what the last one said.
-        """
-        if " & " not in line and (both := line.split(" && ", 1))[1:]:
-            done = self.run(both[0])
-            return self.run(both[1]) if done.returncode == 0 else done
+        """Run a line to its end: a command alone in a fork of this process, any other (or for completion) in bash."""
         command = re.match("steerkit |python ", line)
         if command and not re.search(r"[|;&<>$*`]|-completion", line):
             name, *words = shlex.split(line)

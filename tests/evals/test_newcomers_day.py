@@ -1,11 +1,10 @@
-"""The whole day of a newcomer, as programs in a directory that is no checkout, with parts of their own."""
+"""The whole day of a newcomer, as processes in a directory that is no checkout, with parts of their own."""
 
 import os
 import sys
 from pathlib import Path
 
-from tests.support import programs
-from tests.support.newcomers_day import DAY, Done, bring_files, do, look
+from tests.support.newcomers_day import DAY, bring_files, do
 
 
 def test_a_newcomers_day_from_the_first_command_to_the_last(tmp_path: Path) -> None:
@@ -13,11 +12,7 @@ def test_a_newcomers_day_from_the_first_command_to_the_last(tmp_path: Path) -> N
     bring_files(tmp_path)
     held: dict[Path, bytes] = {}
     for command in DAY:
-        if command.stop is not None:
-            do(command, [sys.executable, "-m", "steerkit"], tmp_path, os.environ)
-        else:
-            it = programs.python("-m", "steerkit", *command.line.split(), folder=tmp_path)
-            look(command, Done(place=tmp_path, code=it.returncode, out=it.stdout, err=it.stderr))
+        do(command, [sys.executable, "-m", "steerkit"], tmp_path, os.environ)
         changed = [file.name for file, content in held.items() if file.read_bytes() != content]
         assert not changed, f"steerkit {command.line} changed what was there: {changed}"
         # nets and results that exist are gone on with, never made anew

@@ -230,14 +230,10 @@ def do(command: Command, program: Sequence[str], place: Path, environment: Mappi
             out, err = process.communicate(timeout=PATIENCE)
         finally:
             process.kill()
-    return look(command, Done(place=place, code=process.returncode, out=out, err=err))
-
-
-def look(command: Command, done: Done) -> Done:
-    """Did the command end as it should, and does it show what it has to?"""
     where = f"steerkit {command.line}"
-    assert done.code == command.code, f"{where}: exit code {done.code}\n{done.out}\n{done.err}"
-    assert "Traceback" not in done.err, f"{where}\n{done.err}"
+    assert process.returncode == command.code, f"{where}: exit code {process.returncode}\n{out}\n{err}"
+    assert "Traceback" not in err, f"{where}\n{err}"
+    done = Done(place=place, code=process.returncode, out=out, err=err)
     try:
         command.shows(done)
     except Exception as why:

@@ -2,7 +2,6 @@
 
 import atexit
 import contextlib
-import gc
 import os
 import runpy
 import signal
@@ -17,7 +16,6 @@ import weakref
 from collections.abc import Mapping, Sequence
 from multiprocessing import util
 from pathlib import Path
-from typing import Any
 
 
 def alive(pid: int) -> bool:
@@ -39,8 +37,7 @@ def python(
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         child = os.fork()
         if child == 0:
-            nothing = os.open(os.devnull, os.O_RDONLY)
-            _become(words, folder, dict(environment), (nothing, out.fileno(), err.fileno()))
+            _become(words, folder, dict(environment), (out.fileno(), err.fileno()))
         end = time.monotonic() + seconds
         while (ended := os.waitpid(child, os.WNOHANG))[0] == 0:
             if time.monotonic() > end:
@@ -54,23 +51,7 @@ def python(
         return subprocess.CompletedProcess(words, os.waitstatus_to_exitcode(ended[1]), out.read(), err.read())
 
 
-class Forked(subprocess.Popen[str]):
-    """What a fork starts in its turn: `python -m MODULE ...` as a fork too, any other program as ever."""
-
-    def _execute_child(self, args: Sequence[str], *rest: Any) -> None:
-        if isinstance(args, str) or list(args[:2]) != [sys.executable, "-m"]:
-            super()._execute_child(args, *rest)  # type: ignore[misc]
-            return
-        folder, environment, ends = rest[4] or ".", rest[5] or os.environ, rest[9:15]
-        self.pid = os.fork()
-        if self.pid == 0:
-            streams = [own if end == -1 else end for own, end in enumerate((ends[0], ends[3], ends[5]))]
-            _become(args[1:], Path(folder), dict(environment), streams)
-        self._child_created = True
-        self._close_pipe_fds(*ends)  # type: ignore[attr-defined]
-
-
-def _become(words: Sequence[str], folder: Path, environment: dict[str, str], streams: Sequence[int]) -> None:
+def _become(words: Sequence[str], folder: Path, environment: dict[str, str], streams: tuple[int, int]) -> None:
     """In the fork: the program, from its first line to its end; never returns."""
     code = 1
     try:
@@ -80,18 +61,15 @@ def _become(words: Sequence[str], folder: Path, environment: dict[str, str], str
         util._finalizer_registry.clear()  # type: ignore[attr-defined]
         os.setsid()
         os.chdir(folder)
-        for number, stream in enumerate(streams):
+        with open(os.devnull, "rb") as nothing:
+            os.dup2(nothing.fileno(), 0)
+        for number, stream in enumerate(streams, start=1):
             os.dup2(stream, number)
-        gc.freeze()  # a file of the other process, thrown away here, would close one that has its number
-        os.closerange(3, 1024)
         sys.stdin = os.fdopen(0, closefd=False, encoding="utf-8")
         sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False, encoding="utf-8") for number in (1, 2))
         os.environ.clear()
         os.environ.update(environment)
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        subprocess.Popen = Forked  # type: ignore[misc]
-        sys.meta_path[:] = [finder for finder in sys.meta_path if not type(finder).__module__.startswith("_pytest")]
         warnings.resetwarnings()
         warnings.filterwarnings("ignore", category=DeprecationWarning)
         warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]
@@ -114,9 +92,7 @@ def _ended(words: Sequence[str]) -> int:
     try:
         if kind == "-m":
             sys.argv = rest
-            for name in (rest[0], rest[0] + ".__main__"):  # as if it had not been imported
-                if not hasattr(sys.modules.get(name), "__path__"):
-                    sys.modules.pop(name, None)
+            sys.modules.pop(rest[0] + ".__main__", None)
             runpy.run_module(rest[0], run_name="__main__", alter_sys=True)
         elif kind == "-c":
             sys.argv = ["-c", *rest[1:]]
