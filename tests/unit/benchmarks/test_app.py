@@ -80,7 +80,11 @@ def test_the_same_commands_under_steerkit_bench() -> None:
         (["run", "golden"], {"joblib", "pandas"}, "joblib, pandas are not installed"),
         (["golden"], {"pyarrow"}, "pyarrow is not installed"),
         (["report", "x"], {"markdown_it"}, "markdown-it-py is not installed"),
-        (["run", "golden", "--backend", "dask", "--address", "tcp://x:1"], {"distributed"}, "distributed is not"),
+        (
+            ["run", "golden", "--backend", "dask", "--address", "tcp://x:1"],
+            {"distributed"},
+            "distributed is not installed",
+        ),
     ],
 )
 def test_without_the_extra_it_says_what_to_install(words, missing, said, tmp_path, monkeypatch, capsys) -> None:
