@@ -49,7 +49,10 @@ TWO = ("--controller", "mpc", "--controller", "lqr")
         (("drive", "stanly", *CAR), "nor a place with a trained policy; valid: stanley"),
         (("drive", "nfq", *CAR), "no net in runs/car; learn one first: steerkit learn --car FILE"),
         (("drive", "stanley", "--car", "mine.toml"), "shipped: dbw-kit.toml"),
-        (("drive", "stanley", *CAR, "--recovery", "prayer"), "--recovery 'prayer' is not known; valid: auto, adaptive"),
+        (
+            ("drive", "stanley", *CAR, "--recovery", "prayer"),
+            "--recovery 'prayer' is not known; valid: auto, adaptive, stanley",
+        ),
         (("drive", "stanley", *CAR, "--time-scale", "2"), "a real car has real time; use --simulated"),
         (("drive", "stanley", *CAR, "--simulated", "--channel", "/dev/x"), "leave --channel out"),
         (("drive", "stanley", *CAR, "--recording", "there.mcap"), "recordings are not overwritten"),
@@ -87,7 +90,11 @@ def test_mistakes_are_one_line_and_exit_code_2(
 @pytest.mark.parametrize(
     ("error", "code", "says"),
     [
-        (OSError(errno.ENOSPC, "No space left on device", "s.npz"), 1, "s.npz: No space left on device; the run"),
+        (
+            OSError(errno.ENOSPC, "No space left on device", "s.npz"),
+            1,
+            "s.npz: No space left on device; the run is kept",
+        ),
         (KeyboardInterrupt(), 130, "interrupted"),
     ],
 )

@@ -59,7 +59,10 @@ def test_options_choose_the_start() -> None:
         ({"scenario": Scenario(), "course": "genesis"}, "belong to the scenario"),
         ({"backend": "fortran"}, "valid: python, c"),
         ({"course": "papr"}, "did you mean 'paper'"),
-        ({"description": StateDescription(names=("e", "e_dot", "w", "psi_e", "r_e", "doe"))}, "'w' is no signal"),
+        (
+            {"description": StateDescription(names=("e", "e_dot", "w", "psi_e", "r_e", "doe"))},
+            "'w' is no signal; valid",
+        ),
     ],
 )
 def test_mistakes_in_options_are_named_with_the_valid_ones(options: dict[str, Any], says: str) -> None:

@@ -1,5 +1,6 @@
 """The fit gives the car back, its intervals cover the truth; what was identified predicts other drives, and is kept."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -85,6 +86,17 @@ def test_the_wheelbase_only_scales_the_ratio(clean: dict[str, Any]) -> None:
     assert two["steer_ratio"].value == pytest.approx(one["steer_ratio"].value / 1.1, rel=0.01)
 
 
+def test_white_intervals_are_those_of_the_textbook(clean: dict[str, Any]) -> None:
+    """With white noise the sandwich is sigma^2 (J'J)^-1: both from the same Jacobian, 25 % apart at most."""
+    drive = Drive.of(by_rate(noisy(clean, 3, slow=0.0)))
+    answer = identify(drive, BASE)
+    problem = _Problem(Simulator(drive, BASE), priors(BASE))
+    error, slopes = problem.linearised(np.array([answer.theta[n] for n in answer.free]))
+    textbook = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)) * np.mean(error**2))
+    np.testing.assert_allclose(np.sqrt(np.diag(answer.covariance)), textbook, rtol=0.4)
+    assert answer.correlation_time == pytest.approx(DT, rel=0.3)
+
+
 def test_fixed_and_known(clean: dict[str, Any]) -> None:
     drive = Drive.of(noisy(clean, 0))
     answer = identify(drive, BASE, fixed={"lag": 0.09}, known={"steer_ratio": (14.0, 0.1)})
@@ -95,8 +107,9 @@ def test_fixed_and_known(clean: dict[str, Any]) -> None:
         identify(drive, BASE, fixed={"ratio": 15.0})
     bounds = {"lag": (0, 1), "delay": (-0.5, 1), "offset": (-1, 1), "rate_zero": (-0.1, 0.1), "steer_ratio": (1, 50)}
     for name, (low, high) in (bounds | {"d_f": (0.002, 0.05), "d_r": (0.002, 0.05)}).items():
-        with pytest.raises(ValueError, match=rf"{name} = .* expected {low} to {high}"):
-            identify(drive, BASE, fixed={name: 1.01 * high})
+        wrong, unit = 1.01 * high, re.escape(PRIORS[name].unit)
+        with pytest.raises(ValueError, match=rf"{name} = {wrong:g} \[{unit}\], expected {low} to {high}"):
+            identify(drive, BASE, fixed={name: wrong})
 
 
 N = 100

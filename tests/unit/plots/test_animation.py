@@ -29,7 +29,11 @@ def test_a_film_has_its_frames_and_the_car_moves(log: Log, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     ("options", "says"),
-    [({"file": "run.avi"}, r"ends in \.gif or \.mp4"), ({"fps": 0.0}, "fps = 0.0"), ({"speed": -1.0}, "speed = -1.0")],
+    [
+        ({"file": "run.avi"}, r"a film ends in \.gif or \.mp4"),
+        ({"fps": 0.0}, "fps = 0.0"),
+        ({"speed": -1.0}, "speed = -1.0"),
+    ],
 )
 def test_mistakes_teach(options: dict[str, Any], says: str, log: Log, tmp_path: Path) -> None:
     file = tmp_path / options.pop("file", "run.gif")

@@ -116,7 +116,10 @@ def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
             lambda: catalogue.make_safety(replace(BELIEF, slew=5.0)),
             "slew = 5.0 .*expected none: the filter is for cars whose",
         ),
-        (lambda: make_recovery("lqr", BELIEF), "recovery 'lqr' is not known.*; valid: auto, adaptive"),
+        (
+            lambda: make_recovery("lqr", BELIEF),
+            "recovery 'lqr' is not known.*; valid: auto, adaptive, stanley, stanley-delay",
+        ),
         (lambda: make_element("integral"), "did you mean 'integrator'"),
         (lambda: replace(BELIEF, lag=-1.0), r"lag = -1.0 \[s\], expected 0 to 10"),
         (lambda: replace(BELIEF, delay=3.0), r"delay = 3.0 \[s\], expected 0 to 2"),

@@ -160,8 +160,14 @@ LACKING = "{'error': \"ModuleNotFoundError: No module named 'benchmarks'\"}"
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
-        (LACKING, r" cannot import this package \(ModuleNotFoundError: .*'benchmarks'\): .* with the extra bench"),
-        (f"{spread._ASK} | {{'source': '0' * 16}}", r" has another .*, sources 0{16}\) than this .*\): install"),
+        (
+            LACKING,
+            r" cannot import this package \(ModuleNotFoundError: .*'benchmarks'\): .* with the extra bench there",
+        ),
+        (
+            f"{spread._ASK} | {{'source': '0' * 16}}",
+            r" has another .*, sources 0{16}\) than this .*\): install steerkit",
+        ),
     ],
 )
 def test_a_cluster_that_cannot_work_for_this_machine_is_told_in_seconds(

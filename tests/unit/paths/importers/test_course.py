@@ -40,7 +40,7 @@ def _off(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
         (
             [(0, 0), (50, 0), (50, 30)],
             dict(noise=0.2),
-            r"bends to a radius of .* m at s = .*; the car's wheel does 4.1",
+            r"bends to a radius of .* m at s = .*; the car's wheel does 4.1 m; if",
         ),
         ([(0, 0), (50, 0), (5, 1)], {}, r"turns by 3.1 rad at one point, \(50.0, 0.0\) \[m\]: a kink"),
         ([(0, 0), (3, 0)], {}, "is 3.0 m long, expected 10 to 200000"),

@@ -52,8 +52,14 @@ def test_commonroads_lanelets_and_routes(tmp_path: FilePath) -> None:
     [
         (lanelet(1, 0, 40) + lanelet(1, 0, 40), "two lanelets of the name 1"),
         ('<lanelet id="1"/>', "leftBound of 0 points, expected 2 or more"),
-        (f'<lanelet id="1">{bound("left", 30, 0, 9)}{bound("right", 0, 0, 9)}</lanelet>', "30 m apart, expected"),
-        (f'<lanelet id="1">{bound("left", 0, 0, 9)}{bound("right", 3, 0, 9)}</lanelet>', "left bound is on the right"),
+        (
+            f'<lanelet id="1">{bound("left", 30, 0, 9)}{bound("right", 0, 0, 9)}</lanelet>',
+            "30 m apart, expected at most 20",
+        ),
+        (
+            f'<lanelet id="1">{bound("left", 0, 0, 9)}{bound("right", 3, 0, 9)}</lanelet>',
+            "its left bound is on the right",
+        ),
         ("", "holds no lanelets"),
     ],
 )

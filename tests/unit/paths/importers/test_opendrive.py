@@ -137,7 +137,9 @@ def test_routes_through_a_junction(tmp_path: FilePath) -> None:
         read_course(f"{file}#road=9")
     with pytest.raises(ValueError, match=r"which lane of road 1.*: 1, -1"):
         read_course(f"{file}#road=1")
-    with pytest.raises(ValueError, match=r"which road\? choose one, FILE#road=...: road 1 \(lane 1, -1, 60 m\)"):
+    with pytest.raises(
+        ValueError, match=r"which road\? choose one, FILE#road=...: road 1 \(lane 1, -1, 60 m\); road 2"
+    ):
         read_course(str(file))
 
 

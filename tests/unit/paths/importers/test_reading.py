@@ -54,7 +54,9 @@ def test_speeds_go_with_the_course(tmp_path: FilePath) -> None:
     assert v[s < 20.0].max() == pytest.approx(50.0 / 3.6), "as fast as is allowed"
     at = float(abs(allowed.path().kappa(s)).argmax())
     assert v[int(at)] ** 2 * abs(allowed.path().samples.kappa).max() < 3.1, "slower in the bend"
-    with pytest.raises(ValueError, match=r"speed recorded: town-.*: no column v \[m/s\]; columns: s, x, y, psi"):
+    with pytest.raises(
+        ValueError, match=r"speed recorded: town-.*: no column v \[m/s\]; columns: s, x, y, psi, kappa, v_limit"
+    ):
         Scenario(course=f"{town}#road=1,lane=-1,to=2", driver={"speed": "recorded"})
 
 
