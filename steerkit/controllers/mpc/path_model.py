@@ -33,7 +33,7 @@ KAPPA_HIGH, KAPPA_STEP = 0.25, 0.005
 """Tabled curvatures [1/m]."""
 CURVES = 2 * round(KAPPA_HIGH / KAPPA_STEP) + 1
 """How many curvatures are tabled."""
-_STEEPEST = 1.2  # rad: no wheel turns further, so steady cornering has no larger |psi_e|
+_STEEPEST = 1.2  # rad: no road wheel turns further, so steady cornering has no larger |psi_e| either
 _LEAST_LAG = 1e-3  # s: a motor without lag follows this fast
 
 
@@ -196,7 +196,7 @@ class PathModel:
         residual = casadi.vertcat(*motion)
         after = w - casadi.solve(casadi.jacobian(residual, w), residual)
         newton = casadi.Function("newton", [w, v, kappa], [after, casadi.mmax(casadi.fabs(residual)), along / v])
-        return _steady_cornering(newton.serialize())
+        return _steady_cornering(newton.serialize(), self.law.steer_ratio)
 
     @cached_property
     def _corners(self) -> casadi.Function:
@@ -213,7 +213,7 @@ class PathModel:
 
 
 @lru_cache(maxsize=64)
-def _steady_cornering(newton: str) -> Array:
+def _steady_cornering(newton: str, steer_ratio: float) -> Array:
     """Steady cornering at all tabled speeds and curvatures by Newton's method from straight, for `PathModel._steady`.
 
     newton: CasADi's text of the step (psi_e, sway, r, wheel), v, kappa -> the next four, |residual|, s'/v; the text,
@@ -230,7 +230,8 @@ def _steady_cornering(newton: str) -> Array:
             guess = np.vstack((solution.full(), pace.full())).T
         with np.errstate(invalid="ignore"):
             more = np.abs(guess[:, 3]) > np.abs(rows[-1][:, 3])  # not past the tyres' best
-            good = good & more & (error.full()[0] < 1e-8) & (np.abs(guess[:, 0]) < _STEEPEST)
+            steep = np.abs(guess[:, [0, 3]] / (1.0, steer_ratio)).max(axis=1)  # Newton may leap to another turn of both
+            good = good & more & (error.full()[0] < 1e-8) & (steep < _STEEPEST)
         rows.append(np.where(good[:, None], guess, rows[-1]))
     left = np.array(rows).swapaxes(0, 1)
     right = left[:, :0:-1] * (-1.0, -1.0, -1.0, -1.0, 1.0)

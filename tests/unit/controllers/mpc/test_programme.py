@@ -91,6 +91,15 @@ def test_steady_cornering_between_tabled_speeds_and_curvatures_is_linear() -> No
         np.testing.assert_allclose(steady(block, 5.1, [place * KAPPA_STEP])[0], expected, atol=1e-12)
 
 
+@kinds
+def test_where_the_tyres_cannot_hold_a_bend_the_wheel_stays_where_they_do_their_best(kind: Any) -> None:
+    block = controller(kind)
+    bends = KAPPA_STEP * np.arange(CURVES // 2 + 1)
+    turns = np.diff([steady(block, float(v), bends)[:, 4] for v in SPEEDS], axis=1) / block.steer_ratio
+    assert turns.min() > -1e-12
+    assert turns.max() < 0.1
+
+
 @pytest.mark.parametrize("v", [0.5, 0.74, 3.0, 20.0, 30.0])
 def test_a_slow_car_is_driven_in_more_steps(v: float) -> None:
     """So many that Runge-Kutta's method is stable for the fastest of the car's rates (2.785)."""
