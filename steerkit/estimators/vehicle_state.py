@@ -606,6 +606,7 @@ class VehicleState(Block):
     ) -> tuple[Sequence[Scalar], Covariance, Memory]:
         """Means and covariances after what was measured at their time, and what is to be remembered of it."""
         speed, _ = course(self.rhs, mean[SWAY], mean[R], delta, mean[V])
+        speed = m.where(mean[V] < 0.0, mean[V], speed)  # a hard stop overshoots, and has no other way back
         nis = count = rejected = 0.0
         waits, means = [], []
         # speed, yaw rate and heading, one by one, each against what is known after those before it
