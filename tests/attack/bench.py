@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import pairwise
@@ -149,7 +150,7 @@ class Bench:
 
 @dataclass
 class Drive(Bench):
-    """One drive; `run` it, then look at how it ended."""
+    """One drive; `settle` and `run` it, then look at how it ended."""
 
     attack: Attack
     speed: float = 5.0
@@ -317,14 +318,26 @@ class Drive(Bench):
         car.move(STEP, speed)
         self.truth.append((self.t, e, car.a_y, self.kit_enabled))
 
-    def run(self) -> Drive:
-        """Engage, let the attack have its way, and go on for a while after the product has let go."""
+    def settle(self) -> Drive:
+        """Engage, and drive until just before the onset."""
         self.arm()
-        end = self.onset + self.attack.seconds
-        while self.t < end or self.t - 0.6 < self.ended() < math.inf:  # what it lets go with is seen whole
+        while self.t + 2.0 * STEP < self.onset:
             self.step()
             if self.mode == "READY" and 0.8 < self.t < self.onset - 1.0:
                 self.order("ENGAGE")
+        return self
+
+    def under(self, attack: Attack) -> Drive:
+        """How a settled drive, which stays as it is, goes on under an attack."""
+        drive = deepcopy(self, {id(fixed): fixed for fixed in (self.config, self.course)})
+        drive.attack = attack
+        return drive.run()
+
+    def run(self) -> Drive:
+        """Let the attack have its way on a settled drive, and go on for a while after the product has let go."""
+        end = self.onset + self.attack.seconds
+        while self.t < end or self.t - 0.6 < self.ended() < math.inf:  # what it lets go with is seen whole
+            self.step()
             if self.t > self.onset and self.mode != "ENGAGED" and self.ended() < self.t - 0.6:
                 break
         return self
@@ -395,3 +408,14 @@ class Drive(Bench):
         if unnoticed and attack.harmless and not self.excess() < harmless:
             found.append(f"not as harmless as it was thought to be: {self.excess():.2f} m")
         return found
+
+
+@cache
+def settled(course: str, where: str, speed: float, seed: int) -> Drive:
+    """A drive as far as all attacks there have in common."""
+    return Drive(Attack("none", course=course, where=where), speed=speed, seed=seed).settle()
+
+
+def driven(attack: Attack, *, speed: float, seed: int = 0) -> Drive:
+    """A drive under attack, done."""
+    return settled(attack.course, attack.where, speed, seed).under(attack)

@@ -63,9 +63,7 @@ class Busy(Drive):
 
 def busy_drive(speed: float, seed: int, seconds: float) -> Drive:
     """A drive of so long without an attack."""
-    drive = Busy(Attack("none", seconds=seconds), speed=speed, seed=seed)
-    drive.run()
-    return drive
+    return Busy(Attack("none", seconds=seconds), speed=speed, seed=seed).settle().run()
 
 
 # ---- recorded laps --------------------------------------------------------------------------------------------------

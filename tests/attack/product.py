@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from steerkit.car import loop as loops
 from steerkit.car import protocol
@@ -32,36 +32,45 @@ def made(name: str, course: str) -> loops.Controller:
     return replace(controller, block=block)
 
 
+class Line:
+    """The line to the car server of a controller's loop: a client writes it before each sample and reads it after."""
+
+    last: protocol.Snapshot
+    """What the car server said last."""
+    asked: float | None
+    """What the loop asks for [rad]."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self  # loops hold it, and copies of a loop call the same blocks
+
+    def query(self) -> protocol.Snapshot:
+        """As the loop sees it."""
+        return self.last
+
+    def request(self, delta_sw: float) -> None:
+        """Keep it."""
+        self.asked = delta_sw
+
+
 class ProductClient:
-    """Steers with one of the product's controllers; it is the line to the car server of that controller's loop."""
+    """Steers with one of the product's controllers."""
 
     def __init__(self, name: str, course: str):
-        self.controller, self.course = made(name, course), course
-        self.last: protocol.Snapshot | None = None
-        self.asked: float | None = None
+        self.controller, self.course, self.line = made(name, course), course, Line()
         self.follow: Follow | None = None
         self.learning = math.nan
         """Has the learned policy the wheel? NaN for a controller that does not learn."""
 
-    def query(self) -> protocol.Snapshot:
-        """What the car server said last."""
-        assert self.last is not None
-        return self.last
-
-    def request(self, delta_sw: float) -> None:
-        """Keep what the loop asks for."""
-        self.asked = delta_sw
-
     def __call__(self, drive: Drive, snapshot: dict[str, float]) -> float | None:
         answer = protocol.decode(drive.answer)
         assert isinstance(answer, protocol.Snapshot)
-        self.last, self.asked = answer, None
+        self.line.last, self.line.asked = answer, None
         if self.follow is None:
             if not math.isfinite(answer.x + answer.psi + answer.v + answer.delta_sw):
                 return None  # as the product waits for a first pose and report
             config, path = configuration(self.course)
-            loop = loops.car_loop(config, path, self, self.controller.block, doe=self.controller.element)
-            self.follow = Follow.of(loop, self)
+            loop = loops.car_loop(config, path, self.line, self.controller.block, doe=self.controller.element)
+            self.follow = Follow.of(loop, self.line)
             resting = self.follow.resting
             self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=loop.dt))
         self.run.loop.advance(self.run.k, self.run.x, self.run.y)
@@ -70,7 +79,7 @@ class ProductClient:
         self.follow.choose(self.run)
         if "supervisor" in self.run.loop.blocks:
             self.learning = self.run.sample["supervisor.learning"]
-        return self.asked
+        return self.line.asked
 
 
 LEARNS = ("nfq",)
@@ -83,15 +92,21 @@ HARMLESS = 0.5
 """They have no integral action: a wheel that is 40 degrees off and says nothing of it brings them so far off [m]."""
 
 
-def driven_by(name: str, attack: Attack, *, speed: float, seed: int = 0) -> Drive:
-    """A drive with that controller under attack, done.
+@cache
+def settled(name: str, course: str, where: str, speed: float, seed: int) -> Drive:
+    """A drive with that controller as far as all attacks there have in common.
 
     The human steers exactly, as a controller is only engaged that asks for the angle that the wheel has; pure pursuit
     wants another one in a bend, and is engaged on the straight before it.
     """
+    none, lead = Attack("none", course=course, where=where), 45.0 if name == "pure-pursuit" else 0.0
+    client = ProductClient(name, course)
+    return Drive(none, speed=speed, seed=seed, client=client, driver=centred, lead=lead).settle()
+
+
+def driven_by(name: str, attack: Attack, *, speed: float, seed: int = 0) -> Drive:
+    """A drive with that controller under attack, done."""
     if attack.course == "stadium" and name not in LEARNS:
         attack = replace(attack, course="careful")
     attack = replace(attack, excess_max=BEYOND.get((name, attack.name), attack.excess_max))
-    lead = 45.0 if name == "pure-pursuit" else 0.0
-    client = ProductClient(name, attack.course)
-    return Drive(attack, speed=speed, seed=seed, client=client, driver=centred, lead=lead).run()
+    return settled(name, attack.course, attack.where, speed, seed).under(attack)

@@ -9,7 +9,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 from tests.attack.attacks import ATTACKS
-from tests.attack.bench import Drive
+from tests.attack.bench import driven
 from tests.attack.product import CONTROLLERS, HARMLESS, driven_by
 from tests.attack.test_attacks import SPEEDS
 
@@ -17,7 +17,7 @@ from tests.attack.test_attacks import SPEEDS
 def row(name: str) -> str:
     """One attack: the end at each speed, the worst true excess of |e| and a_y, and what was said."""
     attack = ATTACKS[name]
-    drives = [Drive(attack, speed=speed).run() for speed in SPEEDS]
+    drives = [driven(attack, speed=speed) for speed in SPEEDS]
     ends = [f"{1e3 * d.silence():.0f}" if math.isfinite(d.ended()) else "drives on" for d in drives]
     cause = next((d.cause() for d in drives if d.cause()), "")
     worst, a_y = max(d.excess() for d in drives), max(d.a_y() for d in drives)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from tests.attack.attacks import ATTACKS
-from tests.attack.bench import Attack, Drive
+from tests.attack.bench import Attack, driven
 from tests.attack.product import CONTROLLERS, HARMLESS, SLOW_CLOCK, driven_by
 
 SPEEDS = (2.0, 5.0, 7.0)
@@ -28,7 +28,7 @@ FAST = (
 @pytest.mark.parametrize(("name", "speed"), [(name, SPEEDS[i % 3]) for i, name in enumerate(ATTACKS)])
 def test_whatever_happens_the_car_stays_on_its_path(name: str, speed: float) -> None:
     attack = ATTACKS[name]
-    drive = Drive(attack, speed=speed).run()
+    drive = driven(attack, speed=speed)
     assert drive.complaints() == []
     if name in FAST:
         assert drive.silence() <= 0.5
@@ -36,12 +36,12 @@ def test_whatever_happens_the_car_stays_on_its_path(name: str, speed: float) -> 
 
 @pytest.mark.parametrize("name", FAST)
 def test_what_looks_plausible_is_noticed_within_half_a_second(name: str) -> None:
-    assert max(Drive(ATTACKS[name], speed=2.0, seed=seed).run().silence() for seed in (1, 2)) <= 0.5
+    assert max(driven(ATTACKS[name], speed=2.0, seed=seed).silence() for seed in (1, 2)) <= 0.5
 
 
 @pytest.mark.parametrize("name", ["heartbeat stops", "the operator's terminal is gone"])
 def test_without_a_heartbeat_the_wheel_is_free_after_300_ms(name: str) -> None:
-    drive = Drive(ATTACKS[name], speed=5.0, seed=3).run()
+    drive = driven(ATTACKS[name], speed=5.0, seed=3)
     assert drive.silence() <= 0.3
 
 
