@@ -104,6 +104,23 @@ def start(example: Example, shape: tuple[int, ...] = (), u: dict[str, Any] | Non
     return block.settle(0.0, state, direct(block, u or inputs(block, 0, shape)))
 
 
+def regimes(block: Block) -> Iterator[tuple[int, Callable[[int], dict[str, Any]]]]:
+    """How many samples, and their inputs: large; small, so that no limit cuts; from backwards to 40 m/s; all constant;
+    with a NaN in one input after the other."""
+
+    def sized(u: dict[str, Any], size: float, pace: float) -> dict[str, Any]:
+        by = {port.name: {"s": 1.0, "1": 1.0, "m/s": pace}.get(port.unit, size) for port in block.inputs}
+        return {name: tuple(by[name] * w for w in v) if isinstance(v, tuple) else by[name] * v for name, v in u.items()}
+
+    ports = [port.name for port in block.inputs]
+    gaps = [None, *ports, *[None] * 20]
+    yield STEPS, lambda k: inputs(block, k)
+    yield STEPS, lambda k: sized(inputs(block, k), 0.02, 1.0)
+    yield 14, lambda k: sized(inputs(block, k), 0.1, 0.4 * (k - 2))
+    yield 40, lambda k: sized(inputs(block, 1), 0.1, 1.0)
+    yield len(gaps), lambda k: broken(sized(inputs(block, k), 0.3, 1.0), gaps[k]) if gaps[k] else inputs(block, k)
+
+
 def run(
     example: Example,
     shape: tuple[int, ...] = (),
@@ -222,18 +239,18 @@ def test_outputs_are_the_named_tuple_of_the_ports(example: Example) -> None:
 
 @blocks
 def test_it_gives_the_numbers_written_down(example: Example) -> None:
-    """The mean of each output, and a sum over the state, for large inputs and for small ones, which no limit cuts; then
-    the means over each sixth of a drive, for estimators one with gaps and nonsense.
+    """The mean of each output, and a sum over the state, in each regime (NaN counts 0), and a sum over `init`; then the
+    means over each sixth of a drive, for estimators one with gaps and nonsense.
 
     They are of the day on which they were written down: whoever changes an equation or a default on purpose replaces
     the line in tests/golden/blocks.json by the one that the failure shows.
     """
-    found: list[float] = []
-    for share in (1.0, 0.02):
-        samples = run(example, feed=lambda k, share=share: _smaller(example.block, inputs(example.block, k), share))
-        state = numbers(samples[-1][3])
-        rows = [*np.mean([numbers(y) for _, _, y, _ in samples], axis=0), state @ np.sqrt(1.0 + np.arange(len(state)))]
-        found += np.nan_to_num(rows).tolist()
+    states, found = [numbers(example.block.init())], list[float]()
+    for steps, feed in regimes(example.block):
+        samples = run(example, feed=feed, steps=steps)
+        states.append(numbers(samples[-1][3]))
+        found += np.mean([np.nan_to_num(numbers(y)) for _, _, y, _ in samples], axis=0).tolist()
+    found += [float(np.nan_to_num(state) @ np.sqrt(1.0 + np.arange(len(state)))) for state in states]
     estimates = "missing" in example.block.Y._fields
     drive = heard(example.block, broken=estimates)
     if estimates:
@@ -284,14 +301,6 @@ def test_defaults_and_ranges_are_those_written_down() -> None:
     found = interface()
     changed = sorted(key for key in found.keys() | expected.keys() if found.get(key) != expected.get(key))
     assert not changed, "\n".join(f'"{key}": {json.dumps(found.get(key))},' for key in changed)
-
-
-def _smaller(block: Block, values: dict[str, Any], share: float) -> dict[str, Any]:
-    units = {port.name: share if port.unit in ("m", "rad", "rad/s", "1/m", "m/s^2") else 1.0 for port in block.inputs}
-    return {
-        name: tuple(units[name] * v for v in value) if isinstance(value, tuple) else units[name] * value
-        for name, value in values.items()
-    }
 
 
 @blocks

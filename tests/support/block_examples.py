@@ -59,9 +59,7 @@ _rng = np.random.default_rng(0)
 AT_ONCE = dict(now=0.004, before=0.005, earlier=0.003)
 LATE = DelayCompensator(samples=3, back=0.2, slip=4e-4, yaw=0.38, straight=0.05, loss=1e-3, tail=1e-3, **AT_ONCE)
 FAST = dataclasses.replace(LATE, fast=1.0, trust=0.5)
-NETS = tuple(
-    (_rng.normal(size=(5, 7)), _rng.normal(size=5), _rng.normal(size=(1, 5)), _rng.normal(size=1)) for _ in range(2)
-)
+NETS = tuple(tuple(_rng.normal(size=size) for size in ((5, 7), 5, (3, 5), 3, (1, 3), 1)) for _ in range(3))
 LAYERS = ((_rng.normal(size=(5, 6)), _rng.normal(size=5)), (_rng.normal(size=(3, 5)), _rng.normal(size=3)))
 
 
@@ -115,7 +113,7 @@ EXAMPLES = [
     *map(Example, (Corrected(), Corrected(element=LowPass()), ExcursionPredictor(), Stanley.of(PASSAT))),
     *map(Example, (Stanley.textbook(PASSAT), delayed_stanley(PASSAT, delay=0.13, lag=0.1))),
     Example(DelayPredictor(block=Stanley.of(PASSAT))),
-    Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, delay=0.2, preview_points=5, v_step=3.0)),
+    Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, delay=0.13, preview_points=5, v_step=3.0)),
     Example(dataclasses.replace(Stanley.of(PASSAT), slew=5.0, a_y_limit=3.0)),
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1, slew=20.0, a_y_limit=3.0)),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, preview_points=5, v_step=3.0, slew=5.0)),
@@ -123,8 +121,9 @@ EXAMPLES = [
     Example(WithExcitation(block=Stanley.of(PASSAT), vehicle=PASSAT, amplitude=0.6, steepness=2.0)),
     Example(
         Adaptive(
-            blocks=(Stanley.of(PASSAT), dataclasses.replace(Stanley.of(PASSAT), k=4.0)),
-            delays=(0.0, 0.1),
+            blocks=tuple(dataclasses.replace(Stanley.of(PASSAT), k=k) for k in (2.0, 3.0, 5.0)),
+            delays=(0.02, 0.06, 0.1),
+            prior_delay=0.05,
             delay=YawDelay(vehicle=PASSAT, prior_delay=0.05, longest=0.1),
             steering=SingleTrackFilter(vehicle=PASSAT, longest=0.2),
         )
@@ -141,10 +140,8 @@ EXAMPLES = [
     ),
     *map(Example, (OffsetFree.around(Stanley.of(PASSAT), PASSAT), PurePursuit.of(PASSAT, OVAL))),
     Example(SafetyFilter.of(PASSAT, delay=0.05, horizon=0.35, hold=1, halvings=2)),
-    Example(SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, bound=9.0)),
-    Example(
-        SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1, gate=GateModel(limits=GateLimits(jerk_max=30.0)))
-    ),
+    Example(SafetyFilter.of(PASSAT, delay=0.07, horizon=0.5, hold=3, halvings=1, bound=3.0, yaw_doubt_least=0.002)),
+    Example(SafetyFilter.of(PASSAT, horizon=0.4, hold=2, halvings=1, gate=GateModel(limits=GateLimits(jerk_max=30.0)))),
     Example(
         FailSafe(block=Silent(block=SafetyFilter.of(PASSAT, horizon=0.35, hold=1, halvings=1))), blind=("command",)
     ),
