@@ -27,6 +27,7 @@ RATIO, WHEELBASE, MASS, DELAY = 16.5, 2.7, 1500.0, 0.05
 """The newcomer's car: steering ratio [1], wheelbase [m], mass [kg], steering delay [s]."""
 PATIENCE = 120.0
 """Seconds after which a process that shows nothing is taken for dead."""
+Run = Callable[..., subprocess.CompletedProcess[str]]
 CAR = "--course yard.csv --vehicle mine.toml"
 LEARN = f"learn {CAR} --setting model-free --with doe=my_parts.py:Geared --with fit.nets=2 --minutes 1.4 --seed 1"
 COMPARE = f"drive stanley mpc runs/a my_file.py:make {CAR} --rounds 0.3"
@@ -210,9 +211,35 @@ DAY = (
 """The day, in its order."""
 
 
-def do(command: Command, program: Sequence[str], place: Path, environment: Mapping[str, str]) -> Done:
-    """Carry one line out in `place`, stop it if it is to be stopped, and look at what it shows."""
-    words = [*program, *command.line.split()]
+def do(
+    command: Command, program: Sequence[str], place: Path, environment: Mapping[str, str], run: Run | None = None
+) -> Done:
+    """Carry one line out in `place`, stop it if it is to be stopped, and look at what it shows.
+
+    run: how to run a line that is not stopped, other than as a process of `program`.
+    """
+    words = command.line.split()
+    if run and command.stop is None:
+        ended = run(*words)
+        code, out, err = ended.returncode, ended.stdout, ended.stderr
+    else:
+        code, out, err = _process(command, [*program, *words], place, environment)
+    where = f"steerkit {command.line}"
+    assert code == command.code, f"{where}: exit code {code}\n{out}\n{err}"
+    assert "Traceback" not in err, f"{where}\n{err}"
+    done = Done(place=place, code=code, out=out, err=err)
+    try:
+        command.shows(done)
+    except Exception as why:
+        why.add_note(f"after: {where}")
+        raise
+    return done
+
+
+def _process(
+    command: Command, words: Sequence[str], place: Path, environment: Mapping[str, str]
+) -> tuple[int, str, str]:
+    """(exit code, output, errors)."""
     before = len(_nets(place))
     # a shell without job control has its children ignore an interrupt, and they would hand that on
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -230,16 +257,7 @@ def do(command: Command, program: Sequence[str], place: Path, environment: Mappi
             out, err = process.communicate(timeout=PATIENCE)
         finally:
             process.kill()
-    where = f"steerkit {command.line}"
-    assert process.returncode == command.code, f"{where}: exit code {process.returncode}\n{out}\n{err}"
-    assert "Traceback" not in err, f"{where}\n{err}"
-    done = Done(place=place, code=process.returncode, out=out, err=err)
-    try:
-        command.shows(done)
-    except Exception as why:
-        why.add_note(f"after: {where}")
-        raise
-    return done
+    return process.returncode, out, err
 
 
 def _await_nets(process: subprocess.Popen[str], place: Path, number: int) -> None:
