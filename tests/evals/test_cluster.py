@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,6 @@ from benchmarks.run.results import load_results
 from benchmarks.run.runner import run as carry_out
 from benchmarks.suites import suite
 from tests.support.places import ROOT
-
-pytest.importorskip("distributed", reason="comes with the extra bench")
 
 HOME = Path(benchmarks.__file__ or "").parents[1]
 """The folder with both packages: a checkout, or where they are installed."""
@@ -122,6 +121,7 @@ def figures_of(printed: str) -> Any:
     return {k: v for k, v in figures.items() if not k.startswith(timing)}, rows
 
 
+@pytest.mark.skipif(find_spec("distributed") is None, reason="comes with the extra bench")
 def test_a_cluster_as_documented_and_killed_workers(start: Start, port: int, tmp_path: Path) -> None:
     """All is done, with the numbers of this machine, though first one and then another of three workers is killed."""
     begin(start, port, tmp_path)

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import gymnasium
 import numpy as np
 import pytest
-import torch
 
 import steerkit.gym
 from steerkit.gym import Task, TrackSteering
@@ -24,6 +23,8 @@ def test_stable_baselines3_has_nothing_to_say() -> None:
 @pytest.mark.parametrize("kind", ["DQN", "SAC", "TD3", "PPO"])
 def test_layers_are_found_where_these_models_keep_them(kind: str, between: str) -> None:
     """Nets of torch in objects that are shaped as Stable-Baselines3's are; it itself is needed below only."""
+    import torch  # here, as it takes longer than all else together, and most processes of the tests can do without
+
     task = Task(actions="i-doe" if kind == "DQN" else "continuous")
     last = len(task.angles or (0.0,))
     torch.manual_seed(0)

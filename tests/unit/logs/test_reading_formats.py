@@ -10,8 +10,12 @@ import pytest
 from steerkit.logs import read_drive, read_log
 from tests.support.written_logs import FORMATS, STEPS, driven, written
 
-for package in ("rosbags", "asammdf", "can", "cantools", "pyarrow"):
-    pytest.importorskip(package)
+
+@pytest.fixture(scope="module", autouse=True)
+def libraries() -> None:
+    """Imported where they are needed: they take a second."""
+    for package in ("rosbags", "asammdf", "can", "cantools", "pyarrow"):
+        pytest.importorskip(package)
 
 
 @pytest.mark.parametrize("name", FORMATS)
