@@ -1,6 +1,7 @@
 """Predictive steering in good order, when things go wrong, and in compiled loops; and its copies."""
 
 import copy
+import json
 import math
 import pickle
 import time
@@ -27,6 +28,7 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
+from tests.support.places import ROOT
 from tests.support.predictive import (
     CAR,
     KINDS,
@@ -42,11 +44,6 @@ from tests.support.predictive import (
 )
 
 STEADY = ConstantSpeed(speed=6.0)
-WRITTEN_DOWN = {
-    MPC: (2.31321, 9.30176, 17.81872, 27.29274, 52.35988, -9.2552),
-    NonlinearMPC: (2.31607, 9.30499, 18.18795, 27.46145, 52.35988, -10.97337),
-}
-"""Sums of the first 6 and of all 20 planned rates [rad/s]."""
 STOPS = RecordedSpeed(speeds=(5.0, 0.0, 0.0, 5.0, 5.0), spacing=1.0)
 
 
@@ -262,20 +259,32 @@ def test_an_actuators_times_are_its_delay_its_lag_and_half_of_its_sample() -> No
 
 
 @kinds
-def test_with_its_own_weights_and_limits_it_plans_what_was_written_down(kind: Any) -> None:
-    """Beside a bend; far off, where the limits of e and a_y act; beyond e_reach, in a tight bend."""
-    block = kind.of(CAR, MOTOR, clock=None)
+@pytest.mark.parametrize("slow", [False, True])
+def test_it_plans_and_commands_what_was_written_down(kind: Any, slow: bool) -> None:
+    """Beside a bend; far off, where the limits of e and a_y act; beyond e_reach, in a tight bend; at and beyond the
+    ends of the model's speeds; beyond what sensors tell; without beta. slow: with another steering, steered by torque.
+    """
+    other = dict(fallback=replace(Stanley.of(CAR.vehicle), slew=8.0), delay=0.13, lag=0.0, horizon=9, reference=0.3)
+    block = kind.of(CAR, MOTOR, clock=None, **(other if slow else {}))
     states: list[dict[str, float]] = [
         {"e": 0.02, "psi_e": 0.01},
         {"e": 0.7, "psi_e": -0.1, "r": 0.2, "v": 8.0},
         {"e": -1.5, "v": 6.0, "kappa": 0.08, "r": 0.4, "delta_sw_meas": 1.5},
+        {"e": 0.3, "v": 0.3, "delta_sw_meas": 0.4},
+        {"e": 0.2, "v": 25.0, "beta": 0.02, "kappa": 0.002},
+        {"psi_e": 3.3, "r": 6.0, "beta": -2.0, "delta_sw_meas": -20.0},
+        {"e": 0.1, "psi_e": 0.05, "beta": math.nan, "delta_sw_meas": 0.3},
     ]
-    plans = [driven(block, [inputs(block, **u)] * 2)[1].plan for u in states]
-    assert [sum(plan[:n]) for plan in plans for n in (6, 20)] == pytest.approx(WRITTEN_DOWN[kind], rel=1e-4)
-    for u, plan in zip(states, plans):  # the same in the mirror
-        other = {"kappa": 0.01} | u | {"v": -u.get("v", 5.0)}
-        there = inputs(block, **{name: -value for name, value in other.items()})
-        assert driven(block, [there] * 2)[1].plan == pytest.approx([-rate for rate in plan], abs=1e-3)
+    found: list[float] = []
+    for u in states:
+        y = driven(block, [inputs(block, **u)] * 3)[2]
+        found += [y.delta_sw, y.status, y.fault, *y.plan[:2], sum(y.plan[:6]), sum(y.plan)]
+        turned = {"kappa": 0.01} | u | {"v": -u.get("v", 5.0)}
+        there = inputs(block, **{name: -value for name, value in turned.items()})
+        assert driven(block, [there] * 3)[2].plan == pytest.approx([-rate for rate in y.plan], abs=2e-3)  # mirrored
+    expected = json.loads((ROOT / "tests/golden/predictive.json").read_text(encoding="utf-8"))
+    shown = json.dumps([float(f"{one:.7g}") for one in found])
+    assert found == pytest.approx(expected[kind.__name__ + " slow" * slow], rel=1e-4, abs=1e-4), shown
 
 
 # ---- as a block -----------------------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """A sample's programme: what is asked is done and no more, and the path ahead is read where the car will be."""
 
+import json
 import math
 from typing import Any
 
@@ -7,10 +8,12 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit.controllers.mpc.block import PredictiveSteering
+from steerkit.controllers.mpc.block import MPC, PredictiveSteering
 from steerkit.controllers.mpc.path_model import CURVES, KAPPA_STEP, SPEEDS
 from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION
-from tests.support.predictive import ahead, controller, inputs, kinds, steady, table
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from tests.support.places import ROOT
+from tests.support.predictive import CAR, MOTOR, ahead, controller, inputs, kinds, steady, table
 
 STATE = {"e": 0.3, "psi_e": -0.05, "r": 0.1, "v": 6.0, "kappa": 0.03}
 
@@ -111,3 +114,22 @@ def test_a_slow_car_is_driven_in_more_steps(v: float) -> None:
     assert steps >= 2
     assert np.abs(rates).max() * block.dt / steps <= 2.3 + 1e-9
     assert steps == 2 or np.abs(rates).max() * block.dt / (steps - 1) > 2.3 * (1.0 - 0.5 / v)
+
+
+@pytest.mark.parametrize("car", [CAR, LinearSingleTrack(vehicle=CAR.vehicle)], ids=["nonlinear", "linear"])
+def test_the_model_has_the_numbers_written_down(car: Any) -> None:
+    """Sums over what is tabled, stepped and linearised, at speeds and curvatures within the tables, at their ends, and
+    beyond; from straight driving and far from it."""
+    block = MPC.of(car, MOTOR, horizon=10, clock=None, lag=0.13, q_psi=0.3, q_r=0.02, reference=1.1)
+    model, bends = block.model, [-0.3, -0.2475, -0.1, -0.011, 0.0, 0.0025, 0.05, 0.17, 0.2475, 0.26]
+    x, far = [0.1, -0.05, 0.02, 0.1, 0.4, 0.7], [-0.9, 0.6, -0.2, -0.8, 6.0, 3.0]
+    found = [float(model.sway_is_speed), *[float(np.ravel(steps) @ range(1, 79)) for steps in [model._substeps]]]
+    for v in (0.3, 0.5, 1.1, 4.9, 11.0, 19.9, 20.0, 31.0):
+        parts: list[Any] = [steady(block, v, bends), *table(block, v)]
+        for state, kappa in ((x, 0.02), (far, -0.15)):
+            parts += [casadi.vertcat(*[casadi.vec(one) for one in model.affine_step(3)(state, 0.5, v, kappa)])]
+            parts += [model.predictor((0.02, 0.05, 0.05), 2)(state[:5], [0.1, 0.5, -0.4], v, [kappa, 0.1, 0.0])]
+            parts += [casadi.DM([model.a_y(state[:4], state[4], v), *model.motion(state[:4], state[4], v, kappa)])]
+        found += [float(np.ravel(part) @ np.sqrt(1.0 + np.arange(np.size(part)))) for part in map(np.array, parts)]
+    expected = json.loads((ROOT / "tests/golden/predictive.json").read_text(encoding="utf-8"))[type(car).__name__]
+    assert found == pytest.approx(expected, rel=1e-5, abs=1e-7), json.dumps([float(f"{one:.8g}") for one in found])
