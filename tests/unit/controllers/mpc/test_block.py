@@ -270,18 +270,19 @@ def test_it_plans_and_commands_what_was_written_down(kind: Any, slow: bool) -> N
         {"e": 0.02, "psi_e": 0.01},
         {"e": 0.7, "psi_e": -0.1, "r": 0.2, "v": 8.0},
         {"e": -1.5, "v": 6.0, "kappa": 0.08, "r": 0.4, "delta_sw_meas": 1.5},
-        {"e": 0.3, "v": 0.3, "delta_sw_meas": 0.4},
+        {"e": 0.3, "v": 0.1, "delta_sw_meas": 0.4},
         {"e": 0.2, "v": 25.0, "beta": 0.02, "kappa": 0.002},
         {"psi_e": 3.3, "r": 6.0, "beta": -2.0, "delta_sw_meas": -20.0},
         {"e": 0.1, "psi_e": 0.05, "beta": math.nan, "delta_sw_meas": 0.3},
     ]
+    winding = 1.0 + 0.05 * np.arange(block.preview_points)
     found: list[float] = []
     for u in states:
-        y = driven(block, [inputs(block, **u)] * 3)[2]
+        along = inputs(block, **u)._replace(preview=tuple((u.get("kappa", 0.01) * winding).tolist()))
+        y = driven(block, [along] * 3)[2]
         found += [y.delta_sw, y.status, y.fault, *y.plan[:2], sum(y.plan[:6]), sum(y.plan)]
-        turned = {"kappa": 0.01} | u | {"v": -u.get("v", 5.0)}
-        there = inputs(block, **{name: -value for name, value in turned.items()})
-        assert driven(block, [there] * 3)[2].plan == pytest.approx([-rate for rate in y.plan], abs=2e-3)  # mirrored
+        there = block.D(*[-value for value in along[:6]], tuple([-kappa for kappa in along.preview]))
+        assert driven(block, [there._replace(v=along.v)] * 3)[2].plan == pytest.approx([-w for w in y.plan], abs=2e-3)
     expected = json.loads((ROOT / "tests/golden/predictive.json").read_text(encoding="utf-8"))
     shown = json.dumps([float(f"{one:.7g}") for one in found])
     assert found == pytest.approx(expected[kind.__name__ + " slow" * slow], rel=1e-4, abs=1e-4), shown
