@@ -210,18 +210,12 @@ class PredictiveSteering(Block):
         """Its fields: what is made of them once holds a solver and its memory, and a copy makes its own."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
-    def _warm_up(self) -> None:
-        """Drives a sample straight on, so that tables and solver are made before they are needed."""
-        state = self.X((0.0,) * self.waiting, (0.0,) * self.horizon, 0.0)
-        u = self.D(0.0, 0.0, 5.0, 0.0, 0.0, 0.0, (0.0,) * self.preview_points)
-        self._routine(*self._asked(state, u, SOLUTION))
-
     def init(self, batch: tuple[int, ...] = ()) -> tuple[Any, ...]:
         zeros = (0.0,) * (self.waiting + self.horizon)
         return tuple([m.filled(value, batch) for value in (*zeros, float(self.patience))])
 
     def settle(self, t: float, x: tuple[Any, ...], u: Any) -> tuple[Any, ...]:
-        self._warm_up()
+        self._routine(SOLUTION, *[1.0] * self.programme.given.size)  # makes tables and solver before they are needed
         n = self.waiting
         now = m.where(m.is_finite(u.delta_sw_meas), m.clip(u.delta_sw_meas, -self.limit, self.limit), 0.0)
         return (*((now,) * n), *x[n:])
