@@ -105,8 +105,8 @@ class Moments:
         for key, name in names.items():
             if name in log:
                 values = log[name]
-                cars = 1 if values.ndim == 1 else values.shape[-1]
-                require(car < cars or values.ndim == 1, "animate", f"car = {car}, the log has {cars}: 0 to {cars - 1}")
+                cars = values.shape[-1]  # if it is a batch
+                require(values.ndim == 1 or car < cars, "animate", f"car = {car}, the log has {cars}: 0 to {cars - 1}")
                 signals[key] = values if values.ndim == 1 else values[..., car]
         return cls(log.t, signals)
 

@@ -132,6 +132,7 @@ def test_started_at_moves_the_start(name, left):
     assert (later.closed, later.length) == (path.closed, pytest.approx(path.length - left, abs=1e-4))
     assert np.allclose(later.point(s), path.point(123.4 + s), atol=1e-4)
     assert np.allclose(later.kappa(s), path.kappa(123.4 + s), atol=1e-4)
+    assert not path.closed or len(later.table.rows) == len(path.table.rows)
     with pytest.raises(ValueError, match=r"started_at s = .* \[m\], expected 0 <= s"):
         path.started_at(-1.0 if path.closed else path.length - 0.9)
 

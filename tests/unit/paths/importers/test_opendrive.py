@@ -1,5 +1,6 @@
 """OpenDRIVE maps: lanes beside a reference line, links, junctions, both hands, and what is told and not used."""
 
+import contextlib
 import math
 import tracemalloc
 from functools import partial
@@ -84,15 +85,16 @@ def test_borders_instead_of_widths(tmp_path: FilePath) -> None:
 
 
 def test_a_lane_goes_on_through_sections_under_another_number(tmp_path: FilePath) -> None:
-    to = '<successor id="-2"/>'
-    lanes = section(0.0, right=lane(-1, 3.0, links=to)) + section(
-        50.0, right=lane(-1, 0.0, b=0.06) + lane(-2, 3.0, links='<predecessor id="-1"/>')
+    back, to = '<predecessor id="1"/>', '<successor id="-2"/>'
+    lanes = section(0.0, left=lane(1), right=lane(-1, 3.0, links=to)) + section(
+        50.0, left=lane(1, links=back), right=lane(-1, 0.0, b=0.06) + lane(-2, 3.0, links='<predecessor id="-1"/>')
     )
     file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, lanes=lanes)
     made = read_course(f"{file}#road=1,lane=-1,noise=0")
     assert made.path.length == pytest.approx(100.0, abs=0.2)
     assert made.path.point(25.0)[1] == pytest.approx(-1.5, abs=0.02)
     assert made.path.point(made.path.length)[1] == pytest.approx(-4.5, abs=0.02)
+    assert read_course(f"{file}#road=1,lane=1").path.length == pytest.approx(100.0, abs=0.2)
 
 
 def test_speeds_of_road_and_lane(tmp_path: FilePath) -> None:
@@ -178,6 +180,10 @@ def test_lanes_that_cannot_be_driven_are_no_choice(tmp_path: FilePath) -> None:
     with pytest.raises(ValueError, match="has no lane -2 to drive on; lanes: -1"):
         read_course(f"{file}#road=1,lane=-2")
     assert read_course(str(file)).path.length == pytest.approx(100.0, abs=1e-3)
+    for number, fits in (("-999", True), ("1000", False), ("-1.5", False)):
+        lanes = section(0.0, right=lane(-1, links=f'<successor id="{number}"/>'))
+        with contextlib.nullcontext() if fits else pytest.raises(ValueError, match="expected a lane's number"):
+            contents(str(road_files.by_hand(file, STRAIGHT, length=100.0, lanes=lanes)))
 
 
 EXACT = 1e-9
