@@ -195,7 +195,7 @@ def way(drive: Drive, *, ahead: float = 0.0) -> Path:
     It begins and ends with a straight: of 10 m, for a car whose centre is behind that point, and of 50 m to look at.
     """
     dt = drive.dt
-    width = max(1, 2 * round(0.5 * _SMOOTH / dt) + 1)
+    width = 2 * round(0.5 * _SMOOTH / dt) + 1
     rate = np.convolve(np.pad(drive.r, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
     psi = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * dt)))
     v = 0.5 * (drive.v[1:] + drive.v[:-1])

@@ -28,7 +28,11 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
 from steerkit.learning.nfq.rprop import new_net
 from steerkit.learning.pictures import film, policy, run
+from steerkit.logs.channels import Channel
+from steerkit.logs.contents import Contents, contents, picture
 from steerkit.logs.drive import Drive
+from steerkit.logs.reading import RawLog
+from steerkit.logs.resimulate import Resimulated, compared
 from steerkit.plots import animation, course, diagram, drive, log, style
 from steerkit.scenario import Scenario
 from tests.support.diagrams import LOOPS, small
@@ -59,6 +63,12 @@ ERRORS = ("rms", "rms_driving", "mean_driving", "rms_rezeroed", "zero_shift")
 PREDICTED = Prediction(drive=DRIVE, r=0.3 * np.sin(T + 0.1), **dict(zip(ERRORS, 0.01 * np.arange(1.0, 6.0))))
 FITTED: dict[str, Any] = {"vehicle": PASSAT, "base": PASSAT, "drive": DRIVE, "estimates": (), "theta": {}, "free": ()}
 FOUND = Identified(**FITTED, fit=replace(PREDICTED, r=1.1 * DRIVE.r), covariance=np.eye(1), correlation_time=1.0)
+DRIVEN = replace(DRIVE, x=np.where(T > 8.0, T, np.nan), y=0.1 * T**2, measured=abs(T - 9.0) > 2.0)
+AGAIN = Resimulated(
+    **dict.fromkeys(("name", "controller"), "a"),
+    **dict(vehicle=PASSAT, v=DRIVE.v, path=PATH, log=LOG, compared=T > 5.0, t=T, again=np.sin(T), e=0.1 * T),
+    **dict(driven=0.3 * np.sin(T + 0.1), a_y=2.0 * np.cos(T), a_y_driven=3.0 * np.sin(T)),
+)
 RECORD = run.Record(name="run", episodes=EPISODES, log=LOG, **PARTS)
 
 
@@ -82,6 +92,20 @@ def seen(scene: Any, show: Callable[..., Any], *at: float) -> Any:
     """The scene at a moment."""
     show(scene, *at)
     return scene
+
+
+def told(drive: Drive | None) -> Any:
+    """The picture of a log of ten channels, the last of which is a drive's."""
+    named = [Channel(name=f"c{k}", t=T, values=np.sin(T + k), unit="m" * (k % 2)) for k in range(9)]
+    of = RawLog(
+        name="a",
+        where="a",
+        channels={c.name: c for c in [*named, Channel(name="v", t=T, values=T)]},
+        notes=(),
+        digest="",
+    )
+    rows = contents(of).rows
+    return picture(Contents(log=of, rows=rows, drive=drive, trouble="", notes=()))
 
 
 STEPS = {"inputs": ["controller_path.e"], "outputs": ["path.e"]}
@@ -112,6 +136,9 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "curve": lambda: run.learning_curve(RECORD),
     "compare": lambda: run.compare([RECORD, RECORD]),
     "failures": lambda: run.failure_map(RECORD),
+    "log's drive": lambda: told(DRIVEN),
+    "log without a drive": lambda: told(None),
+    "resimulated": lambda: compared(AGAIN),
     "identified": lambda: FOUND.plot(PREDICTED),
     "fit": lambda: FOUND.plot(),
     "replay": lambda: run.replay(RECORD, 2),
