@@ -134,6 +134,7 @@ class Course(Part):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "name", str(self.name))  # it may be a file's path
         if self.text is None and is_road(self.name):
             text = read_course(self.name, tightest=_TIGHTEST, closed=self.closed).text()
             object.__setattr__(self, "text", text)

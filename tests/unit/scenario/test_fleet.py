@@ -5,7 +5,7 @@ import pytest
 
 from steerkit.paths.courses import random_course
 from steerkit.scenario import Scenario, fleet_scenario
-from steerkit.scenario.fleet import LAG, OFFSET_DEG, PLAY_DEG
+from steerkit.scenario.fleet import LAG, OFFSET_DEG, PLAY_DEG, straightest
 from steerkit.vehicles import drawn_car, fleet
 
 MANY = 400
@@ -20,6 +20,13 @@ def test_a_drawn_scenario_has_the_cars_own_delay_and_an_unseen_course() -> None:
         assert scenario.course.name == f"random-{1000 + number}"
         assert (scenario.path().samples.kappa == random_course(1000 + number).samples.kappa).all()
         assert scenario == fleet_scenario(number)
+
+
+def test_the_straightest_stretch_bends_least_in_its_worst_place() -> None:
+    path = random_course(1003)
+    worst = [abs(path.kappa(s + np.arange(20.0))).max() for s in range(round(path.length))]
+    assert abs(path.kappa(straightest(path) + np.arange(20.0))).max() == pytest.approx(min(worst), rel=0.02)
+    assert min(worst) < 0.7 * np.median(worst)
 
 
 def test_what_is_drawn_is_uniform_and_independent() -> None:

@@ -1,5 +1,6 @@
 """What a scenario is made of, when its steering is worn and its sensors are poor."""
 
+import contextlib
 from typing import Any
 
 import numpy as np
@@ -7,11 +8,12 @@ import pytest
 
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.vehicle_state import VehicleState
+from steerkit.paths.courses import straight
 from steerkit.plants.sensors import DegradedSensors, Sensors
 from steerkit.plants.steering_actuator import SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive
-from steerkit.scenario.parts import drawn_course
+from steerkit.scenario.parts import Course, Driver, drawn_course
 
 PLAIN = Scenario()
 COURSE = PLAIN.path()
@@ -142,6 +144,33 @@ def test_sweeping_courses_have_bends_of_100_m_and_more() -> None:
     assert path.name == "sweeping-7"
     assert drawn_course("random-7") == (7, 500.0, 0.1)
     assert drawn_course("sweeping-x") is None
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        (((0.0, 5.0), (100.99, 6.0)), ""),
+        (((0.0, 5.0), (101.01, 6.0)), "s to 101.01 m, on a course of 100.0 m"),
+        (((-0.01, 5.0), (100.0, 6.0)), "expected s from 0 to"),
+        (((0.0, 4.99), (100.0, 6.0)), "4.99 to 6 m/s, expected v_min to v_max, 5 to 6"),
+        (((0.0, 5.0), (100.0, 6.01)), "5 to 6.01 m/s, expected v_min to v_max"),
+    ],
+)
+def test_a_files_speed_keeps_within_the_course_and_the_drivers_speeds(rows: Any, says: str) -> None:
+    text = "\n".join(["s,v", *(f"{s},{v}" for s, v in rows)])
+    driver, on = Driver(speed="a.csv", v_min=5.0, v_max=6.0, text=text), (Course(name="straight"), straight(100.0))
+    with contextlib.nullcontext() if not says else pytest.raises(ValueError, match=says):
+        s, v = driver.profile(*on)
+        assert (s, v) == (pytest.approx(np.arange(101.0)), pytest.approx(5.0 + s / 100.99))
+
+
+def test_a_maps_limit_holds_from_where_it_stands_and_is_braked_for() -> None:
+    """10 m/s at first, none from 40 m on, 12 m/s in the last metre: v^2 changes by 3 m^2/s^2 a metre."""
+    rows = [f"{s},0,{s},{v}" for s, v in ((0, 10), (40, "nan"), (98.5, 12), (100, 5))]
+    map_ = Course(name="a.csv", text="\n".join(["x,y,s,v_limit", *rows]))
+    s, v = Driver(speed="limit", v_min=4.0, v_max=20.0).profile(map_, straight(100.0))
+    exact = np.sqrt(np.minimum(100.0 + 3.0 * np.maximum(s - 39.0, 0.0), 144.0 + 3.0 * (99.0 - s)))
+    assert (s, v) == (pytest.approx(np.arange(101.0)), pytest.approx(np.append(exact[:-1], 12.0)))
 
 
 def test_the_driver_slows_down_to_a_y_max() -> None:

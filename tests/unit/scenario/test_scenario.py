@@ -213,7 +213,7 @@ def test_whole_numbers_are_numbers() -> None:
 
 
 def test_a_change_leaves_the_other_fields_of_its_part_and_another_file_is_read(tmp_path: FilePath) -> None:
-    scenario = Scenario(course={"name": str(yard(tmp_path)), "start": 3.0}, steering={"lag": 0.3})
+    scenario = Scenario(course={"name": yard(tmp_path), "start": 3.0}, steering={"lag": 0.3})
     changed = scenario.with_(course="circle", steering={"delay": 0.1})
     assert changed == Scenario(course={"name": "circle", "start": 3.0}, steering={"lag": 0.3, "delay": 0.1})
     assert changed.with_(course=str(tmp_path / "yard.csv"), **tables({"steering.delay": 0.0, "name": "x"})) == (
@@ -254,6 +254,8 @@ def test_files_are_looked_for_beside_the_scenarios_own(given: str, tmp_path: Fil
     (tmp_path / "s.toml").write_text(HEAD + given + '[driver]\nv_max = 9\nspeed = "v.csv"\n')
     expected = Scenario(course=str(tmp_path / "yard.csv"), driver={"v_max": 9.0, "speed": str(tmp_path / "v.csv")})
     assert read_scenario(tmp_path / "s.toml") == expected
+    mean = 100.0 * math.log(6.0 / 5.0) / 100.0  # of 1/v, over the file's stretch; back over the rest of the round
+    assert expected.seconds == math.ceil(mean * expected.round_length + 10.0)
 
 
 @pytest.mark.parametrize(
