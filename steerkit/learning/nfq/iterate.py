@@ -159,7 +159,8 @@ def goal_patterns(problem: Problem, rng: np.random.Generator) -> NDArray[np.floa
     That action is 0 where the set has it (an integrating output element holds its angle), else any one of the set.
     """
     count, actions = problem.fit.hints, np.array(problem.actions)
-    x = rng.uniform(-1.0, 1.0, (count, problem.sizes[0])) * np.array([*problem.description.goal, 0.0])
+    x = rng.uniform(-1.0, 1.0, (count, problem.sizes[0]))
+    x[:, :ACTION] *= problem.description.goal
     x[:, ACTION] = 0.0 if 0.0 in problem.actions else rng.choice(actions, count) / problem.scale
     return x.astype(np.float32)
 
