@@ -49,6 +49,7 @@ class FromControl(Block):
     """Runge-Kutta steps a sample, of a continuous system."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where, names = "FromControl", [*_ports(self.system.input_labels), *_ports(self.system.output_labels)]
         odd = [name for name in names if not name.isidentifier()]
         require(not odd, where, f"port {odd[:1]}, expected a Python name; give the system inputs=[...], outputs=[...]")

@@ -83,6 +83,7 @@ class NfqPolicy(Policy):
     """The car's dead time and how it answers the wheel; None: commands act at once."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         where = "NfqPolicy"
         require(self.combine in COMBINATIONS, where, f"combine = {self.combine!r}; valid: {', '.join(COMBINATIONS)}")
         actions = tuple(float(a) for a in self.actions)

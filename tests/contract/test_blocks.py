@@ -303,6 +303,41 @@ def test_defaults_and_ranges_are_those_written_down() -> None:
     assert not changed, "\n".join(f'"{key}": {json.dumps(found.get(key))},' for key in changed)
 
 
+ELSEWHERE_RANGED = {"Corrected", "Tap", "GateLimits"}
+"""Classes whose ranges are those of others: two take their dt from what they belong to; a car's file has the gate's
+(tests/unit/car/test_config.py)."""
+
+
+def declaring_ranges() -> list[Any]:
+    """The example of each block, and a default object of each other class, that has a field made by `number`."""
+    concrete_blocks()  # imports all modules
+    made = {type(example.block): example.block for example in EXAMPLES}
+    own = (vars(module).values() for name, module in sorted(sys.modules.items()) if name.startswith("steerkit."))
+    for kind in {kind: None for things in own for kind in things if inspect.isclass(kind)}:
+        fields = [f for f in dataclasses.fields(kind) if f.init] if dataclasses.is_dataclass(kind) else []
+        needed = [f for f in fields if f.default is f.default_factory is dataclasses.MISSING]
+        if not needed and not issubclass(kind, Block) and any("number" in f.metadata for f in fields):
+            made[kind] = kind()
+    return [one for kind, one in made.items() if kind.__name__ not in ELSEWHERE_RANGED]
+
+
+@pytest.mark.parametrize("made", declaring_ranges(), ids=lambda made: type(made).__name__)
+def test_a_number_beyond_its_range_is_refused(made: Any) -> None:
+    """Below, above, NaN, and between two whole numbers; what the range is stands in tests/golden/interface.json."""
+    where = f"{type(made).__name__}: " if isinstance(made, Block) else ""
+    for f in (f for f in dataclasses.fields(made) if "number" in f.metadata):
+        unit, low, high, above = f.metadata["number"]
+        whole = f.type == "int"
+        beyond = [math.nan, *([low + 0.5] if whole else [low if above else low - 1e-6] * math.isfinite(low))]
+        beyond += [high + (1 if whole else 1e-6)] * math.isfinite(high) + [low - 1] * whole
+        for value in beyond:
+            what = (
+                "expected a whole number" if isinstance(value, float) and whole else rf"\[{re.escape(unit)}\], expected"
+            )
+            with pytest.raises(ValueError, match=rf"^{where}.*{f.name} = {re.escape(str(value))},? {what}"):
+                dataclasses.replace(made, **{f.name: value})
+
+
 @blocks
 def test_equal_arguments_give_equal_results_and_stay_as_they_are(example: Example) -> None:
     block = example.block

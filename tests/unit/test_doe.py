@@ -103,21 +103,6 @@ def test_nan_stays_nan(doe: Any) -> None:
     assert math.isnan(doe.update(0.0, HeldAngle(0.0), doe.U(0.0, math.nan), doe.Y(0.0, 0.0)).delta_sw)
 
 
-@pytest.mark.parametrize(
-    ("kind", "parameters", "message"),
-    [
-        (Integrator, {"dt": 0.0}, r"Integrator: dt = 0\.0 \[s\], expected > 0"),
-        (PlainAngle, {"limit": 520.0}, r"PlainAngle: limit = 520\.0 \[rad\], expected > 0 and <= 20"),
-        (LowPass, {"limit": -1.0}, r"LowPass: limit = -1\.0 \[rad\]"),
-        (LowPass, {"tau": 0.0}, r"LowPass: tau = 0\.0 \[s\], expected > 0"),
-        (LowPass, {"tau": math.nan}, r"LowPass: tau = nan \[s\], expected > 0"),
-    ],
-)
-def test_bad_parameters(kind: type[Block], parameters: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        kind(**parameters)
-
-
 # ---- behind a gate ------------------------------------------------------------------------------------------------
 
 

@@ -187,11 +187,7 @@ def test_engaged_comes_only_from_ready_by_an_order_and_faults_stay(story: list[t
         assert step(LIMITS, before, facts, 0.05 * k, order) == state  # pure
 
 
-@pytest.mark.parametrize("field", ["report_age", "e_max", "torque_reports", "v_max"])
-def test_limits_are_checked(field: str) -> None:
-    for value in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(ValueError, match=field):
-            StateLimits(**{field: value})
+def test_limits_are_checked() -> None:
     assert StateLimits(v_engage_max=10.0).v_max == 10.0
     for values in ({"request_lost": 0.075}, {"v_engage_min": 9.0}, {"v_engage_max": 10.01}):
         with pytest.raises(ValueError, match="request_age < request_lost and v_engage_min < v_engage_max <= v_max"):

@@ -243,7 +243,5 @@ def test_it_wraps_only_what_it_can_serve() -> None:
         DelayPredictor(block=lqr)
     with pytest.raises(ValueError, match=r"PlainAngle needs action, applied"):
         DelayPredictor(block=PlainAngle())
-    with pytest.raises(ValueError, match=r"lag = -1.0"):
-        around(0.1, -1.0)
     with pytest.raises(ValueError, match=r"dt = 0.01 s, but the wrapped block has 0.05 s"):
         DelayPredictor(block=Stanley.of(PASSAT), dt=0.01)

@@ -275,7 +275,6 @@ def test_without_the_filter_an_adversary_leaves_it_at_once() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"halvings": 2.5}, "halvings = 2.5, expected a whole number"),
         ({"gate": GateModel(), "horizon": 1.59}, "horizon"),  # the hold, and 1.2 s from side to side
         ({"backup": Stanley.of(PASSAT)}, "backup of another kind than DelayPredictor around Stanley"),
         ({"backup": DelayPredictor(block=CommandCompensation(block=Stanley.of(PASSAT)))}, "backup of another kind"),

@@ -114,5 +114,3 @@ def test_what_it_is_not_made_for() -> None:
         WithExcitation(block=Integrator(), vehicle=PASSAT)
     with pytest.raises(ValueError, match="expected among them delta_sw"):
         WithExcitation(block=ConstantSpeed(), vehicle=PASSAT)
-    with pytest.raises(ValueError, match="number = nan"):
-        WithExcitation(block=STANLEY, vehicle=PASSAT, number=math.nan)

@@ -102,13 +102,10 @@ def test_a_sample_that_cannot_be_read_is_reported(name: str, port: str) -> None:
         (WheelDelay, dict(longest=6.0), r"longest = 6.0 \[s\], expected 2 to 100 samples of 0.05 s"),
         (WheelDelay, dict(prior_delay=0.9), r"prior_delay = 0.9 \[s\], expected 0 to 0.75"),
         (YawDelay, dict(vehicle="vw-passat"), "YawDelay: .*expected a Vehicle"),
-        (YawDelay, dict(vehicle=PASSAT, yaw_unknown=2.0), r"yaw_unknown = 2.0 \[1\], expected 0 to 1"),
-        (SteeringFriction, dict(prior=0.1), r"SteeringFriction: prior = 0.1 \[rad\], expected 0 to 0.0279253"),
         (SteeringFriction, dict(dt=0.2), r"dt = 0.2 \[s\], expected 0.001 to 0.15"),
         (SingleTrackFilter, dict(vehicle="vw-passat"), "expected a Vehicle"),
         (SingleTrackFilter, dict(vehicle=PASSAT, dt=0.5), r"dt = 0.5 \[s\], expected 0.001 to 0.15"),
         (SingleTrackFilter, dict(vehicle=PASSAT, longest=0.52), r"longest = 0.52 \[s\], expected a multiple of dt"),
-        (SingleTrackFilter, dict(vehicle=PASSAT, ratio_prior=2.0), r"ratio_prior = 2.0 \[1\], expected 0.0001 to 0.5"),
     ],
 )
 def test_parameters_out_of_range(kind: type[Block], wrong: dict[str, Any], message: str) -> None:

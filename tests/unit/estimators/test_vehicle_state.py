@@ -308,10 +308,7 @@ def test_a_car_that_is_not_as_told_is_doubted_and_sensors_are_trusted_more(monke
     [
         ("horizon", 0.07, r"horizon = 0.07 \[s\], expected a multiple of dt"),
         ("horizon", 2.0, "horizon = 2.0"),
-        ("steer_ratio", 0.1, "steer_ratio"),
         ("dt", 0.5, r"dt = 0.5 \[s\], expected 0.001 to 0.2"),
-        ("r_noise", -0.1, "r_noise"),
-        ("drift_time", 0.0, "drift_time"),
         ("rhs", 3.0, "a plant's rhs"),
     ],
 )

@@ -77,14 +77,11 @@ def test_speed_profile_over_progress():
     ("make", "message"),
     [
         (lambda: SpeedDriver(v_min=8.0, v_max=7.0), r"v_max = 7.0 \[m/s\], expected 8 to 60; at least v_min"),
-        (lambda: SpeedDriver(foot_time=0.0), r"foot_time = 0.0 \[s\], expected > 0"),
         (lambda: SpeedDriver(seed=-1), "seed = -1, expected a whole number"),
-        (lambda: ConstantSpeed(speed=-5.0), r"speed = -5.0 \[m/s\]"),
         (lambda: CurveSpeedDriver(path=circle(20.0), driver=SpeedDriver(dt=0.01)), "its driver has 0.01 s"),
         (lambda: Playback(angles=ANGLES, speeds=SPEEDS[:-1]), "5 angles, 4 speeds"),
         (lambda: RecordedSpeed(speeds=(4.0,), spacing=1.0), "two numbers or more"),
         (lambda: RecordedSpeed(speeds=(4.0, math.nan), spacing=1.0), r"speeds = .* \[m/s\]"),
-        (lambda: SpeedProfile(speeds=(4.0, 5.0), spacing=0.0), "SpeedProfile: spacing = 0.0"),
         (lambda: SpeedProfile.from_samples([0.0, 0.0], [4.0, 5.0]), "at rising strictly"),
     ],
 )

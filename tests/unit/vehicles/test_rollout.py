@@ -2,7 +2,6 @@
 
 import math
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -139,10 +138,3 @@ def test_the_preview_is_linear_between_its_entries_and_holds_its_last(points: in
     preview, model = (0.01, 0.03, 0.02)[:points], Rollout(preview_dt=0.1)
     times = [0.0, 0.05, 0.1, 0.15, 0.2, 0.9]
     assert [model.kappa(preview, t) for t in times] == pytest.approx(np.interp(times, 0.1 * np.arange(points), preview))
-
-
-@pytest.mark.parametrize(("kind", "field"), [(Rollout, "yaw_time"), (Rollout, "slew"), (GateModel, "v_doubt")])
-@pytest.mark.parametrize("value", [-0.1, math.nan])
-def test_a_model_that_no_car_has_is_refused(kind: Any, field: str, value: float) -> None:
-    with pytest.raises(ValueError, match=f"{kind.__name__}: {field} = {value}"):
-        kind(**{field: value})
