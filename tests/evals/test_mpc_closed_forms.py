@@ -19,11 +19,9 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
 from tests.support.predictive import ahead, steady, table
+from tests.support.straight_road import PASSAT, looped
 
-PASSAT = vehicle("vw-passat")
 LINEAR, NONLINEAR = LinearSingleTrack(vehicle=PASSAT, v0=5.0), NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)
 KINDS = (MPC, NonlinearMPC)
 
@@ -186,14 +184,8 @@ def test_the_tables_over_speed_are_the_exact_matrices() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_round_trip_of_bends_under_delay_stays_within_centimetres(kind: type[PredictiveSteering]) -> None:
     path, motor = course("paper"), SteeringActuator(delay=0.2, lag=0.1)
-    loop = steering_loop(
-        car=placed(NONLINEAR, path, s=180.0),
-        path=path,
-        driver=CurveSpeedDriver(path=path, driver=SpeedDriver(seed=1)),
-        actuator=motor,
-        controller=kind.of(NONLINEAR, motor),
-        reference=PASSAT.l_f,
-    )
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(seed=1))
+    loop = looped(kind.of(NONLINEAR, motor), path, 5.0, 0.2, car=NONLINEAR, driver=driver, s=180.0)
     log = simulate(loop, 25.0, record=["path.e", "controller.status", "controller.residual"])
     settled = log["path.e"][300:]
     assert (log["controller.status"] == 0.0).all()

@@ -6,31 +6,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from steerkit import compile, course, placed, simulate, steering_loop, vehicle
+from steerkit import compile, course, simulate
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.learning.learner_state import untrained
 from steerkit.learning.settings import DEFAULT
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
-from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
-
-PASSAT = vehicle("vw-passat")
+from tests.support.straight_road import PASSAT, looped
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.2])
 def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> None:
     """Nonlinear car, 0.1 s lag; the driver would drive 9 m/s. Tyres and ratio off: still within 0.3 m."""
     path = course("paper")
-    loop = steering_loop(
-        car=placed(NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path),
-        path=path,
-        driver=CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=9.0, v_max=9.0)),
-        controller=delayed_stanley(PASSAT, delay=delay, lag=0.1),
-        actuator=SteeringActuator(delay=delay, lag=0.1),
-        reference=PASSAT.l_f,
-    )
+    car = NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=9.0, v_max=9.0))
+    loop = looped(delayed_stanley(PASSAT, delay=delay, lag=0.1), path, 5.0, delay, car=car, driver=driver)
     stiffness, ratio = PASSAT.c_f * np.array([1.0, 0.7]), PASSAT.steer_ratio * np.array([1.0, 1.1])
     cars = {"car.vehicle.c_f": stiffness, "car.vehicle.steer_ratio": ratio}
     log = compile(loop, record=["path.e", "path.progress"], every=5, parameters=list(cars)).run(130.0, parameters=cars)

@@ -1,10 +1,11 @@
-"""A car steered along a straight road, with a slow actuator."""
+"""A car steered along a path, or a straight road, with a slow actuator."""
 
 from typing import Any
 
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.diagram.loop import Loop
 from steerkit.paths.courses import straight
+from steerkit.paths.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -15,14 +16,17 @@ PASSAT = vehicle("vw-passat")
 ROAD = straight(400.0)
 
 
-def steered(v: float = 6.0, controller: Any = None, delay: float = 0.2, driver: Any = None, **parts: Any) -> Loop:
-    car = placed(LinearSingleTrack(vehicle=PASSAT, v0=v), ROAD, s=20.0)
-    return steering_loop(
-        car=car,
-        path=ROAD,
-        driver=driver or ConstantSpeed(speed=v),
-        reference=PASSAT.l_f,
-        controller=controller or delayed_stanley(PASSAT, delay=delay, lag=0.1),
-        actuator=SteeringActuator(delay=delay, lag=0.1),
-        **parts,
-    )
+def looped(controller: Any, path: Path, v: float, delay: float, *, car: Any = None, **parts: Any) -> Loop:
+    """A car at that speed, behind a motor with that delay and 0.1 s of lag; parts: others, and where it starts."""
+    start = {name: parts.pop(name) for name in ("s", "e", "psi_e") if name in parts}
+    standard = {
+        "driver": ConstantSpeed(speed=v),
+        "actuator": SteeringActuator(delay=delay, lag=0.1),
+        "reference": PASSAT.l_f,
+    }
+    plant = placed(car or LinearSingleTrack(vehicle=PASSAT, v0=v), path, **start)
+    return steering_loop(car=plant, path=path, controller=controller, **standard | parts)
+
+
+def steered(v: float = 6.0, controller: Any = None, delay: float = 0.2, **parts: Any) -> Loop:
+    return looped(controller or delayed_stanley(PASSAT, delay=delay, lag=0.1), ROAD, v, delay, s=20.0, **parts)

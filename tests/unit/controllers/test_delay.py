@@ -13,21 +13,14 @@ from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block, In, Out
-from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import PlainAngle
 from steerkit.paths.courses import course, straight
-from steerkit.paths.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.single_track import SingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import yaw_gain
+from tests.support.straight_road import PASSAT, looped
 
-PASSAT = vehicle("vw-passat")
 SLOW: dict[str, Any] = {"slew": 5.0, "a_y_limit": 3.0}
 AT_REST: dict[str, Any] = {"e": 0.0, "psi_e": 0.0, "v": 6.0, "r": 0.0, "delta_sw_meas": 0.0}
 
@@ -41,20 +34,6 @@ def around(delay: float, lag: float, **changes: Any) -> DelayPredictor:
     made = DelayPredictor.around(Stanley.of(PASSAT), PASSAT, delay=delay, lag=lag)
     own = {name: changes.pop(name) for name in ("block", "preview_points") if name in changes}
     return replace(made, model=replace(made.model, **changes), **own)
-
-
-def looped(
-    controller: Block, path: Path, v: float, delay: float, *, car: SingleTrack | None = None, **start: Any
-) -> Loop:
-    """A car at that speed, behind a motor with that delay and 0.1 s of lag."""
-    return steering_loop(
-        car=placed(car or LinearSingleTrack(vehicle=PASSAT, v0=v), path, **start),
-        path=path,
-        driver=ConstantSpeed(speed=v),
-        controller=controller,
-        actuator=SteeringActuator(delay=delay, lag=0.1),
-        reference=PASSAT.l_f,
-    )
 
 
 def without_slew(block: DelayPredictor) -> DelayPredictor:

@@ -15,13 +15,10 @@ from steerkit.paths.courses import circle
 from steerkit.paths.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario import Scenario
-from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
+from tests.support.straight_road import PASSAT, looped
 
-PASSAT = vehicle("vw-passat")
 MATRICES = LinearSingleTrack(vehicle=PASSAT).matrices
 
 
@@ -32,16 +29,8 @@ def design(**changes: Any) -> LqrDesign:
 def driven(
     path: Path, v: float, seconds: float, plant: Any = LinearSingleTrack, delay: float = 0.2, **start: float
 ) -> Log:
-    car = placed(plant(vehicle=PASSAT, v0=v), path, **start)
-    loop = steering_loop(
-        car=car,
-        path=path,
-        driver=ConstantSpeed(speed=v),
-        controller=Lqr.of(PASSAT, MATRICES, delay=delay, v_step=1.0),
-        actuator=SteeringActuator(delay=delay, lag=0.1),
-        reference=PASSAT.l_f,
-    )
-    return simulate(loop, seconds)
+    lqr = Lqr.of(PASSAT, MATRICES, delay=delay, v_step=1.0)
+    return simulate(looped(lqr, path, v, delay, car=plant(vehicle=PASSAT, v0=v), **start), seconds)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.05, 0.12])

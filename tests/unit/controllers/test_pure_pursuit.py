@@ -10,14 +10,9 @@ from hypothesis import strategies as st
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle, straight
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
 from tests.support.ranges import keeps_range
+from tests.support.straight_road import PASSAT, looped
 
-PASSAT = vehicle("vw-passat")
 ROAD = straight(50.0)
 
 
@@ -53,15 +48,7 @@ def test_told_of_a_delay_it_looks_farther_and_does_not_swing() -> None:
     path, swing = straight(300.0), []
     for told in (0.0, 0.2):
         pursuit = PurePursuit.of(PASSAT, path, delay=told)
-        car = placed(LinearSingleTrack(vehicle=PASSAT, v0=6.0), path, s=10.0, e=0.3)
-        loop = steering_loop(
-            car=car,
-            path=path,
-            driver=ConstantSpeed(speed=6.0),
-            controller=pursuit,
-            actuator=SteeringActuator(delay=0.2, lag=0.1),
-            reference=pursuit.reference,
-        )
+        loop = looped(pursuit, path, 6.0, 0.2, reference=pursuit.reference, s=10.0, e=0.3)
         swing.append(abs(simulate(loop, 12.0)["path.e"][-200:]).max())
     assert swing[0] > 1.0
     assert swing[1] < 0.02
