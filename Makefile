@@ -36,8 +36,9 @@ attacks: $(READY)  ## what an attacker on sensors, bus and client achieves again
 test test-all: export OMP_NUM_THREADS = 1
 # Tests start some hundred programs; without their bytecode each compiles the library anew, most of a second.
 test test-all: export PYTHONDONTWRITEBYTECODE =
-# They compile some two hundred loops; for a few seconds of driving, to optimise them takes longer than the driving.
-test test-all: export CC := $(CC) -O0
+# They compile some two hundred loops; for a few seconds of driving, to optimise them or to inline
+# (half of the time without optimising) takes longer than the driving.
+test test-all: export CC := $(CC) -O0 -Dalways_inline=
 # Who has done his share takes over from the others: a long test at the end holds nobody up.
 test: $(READY)  ## all tests, on three processes: some wait for a car in real time
 	$(BIN)/python -m pytest -n 3 --dist worksteal

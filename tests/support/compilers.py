@@ -13,7 +13,7 @@ from steerkit._support import native
 def optimising() -> str:
     """$CC with which loops are optimised all the same: for what computes for longer, or is to be seen optimised."""
     words = shlex.split(os.environ.get("CC", "")) or [*(native.compiler() or ["cc"])]
-    return shlex.join([*words, "-O1"])
+    return shlex.join([*words, "-O1", "-Ualways_inline"])
 
 
 @contextmanager
