@@ -4,12 +4,12 @@ import atexit
 import contextlib
 import os
 import runpy
+import select
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 import types
 import warnings
 import weakref
@@ -38,14 +38,15 @@ def python(
         child = os.fork()
         if child == 0:
             _become(words, folder, dict(environment), (out.fileno(), err.fileno()))
-        end = time.monotonic() + seconds
-        while (ended := os.waitpid(child, os.WNOHANG))[0] == 0:
-            if time.monotonic() > end:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(child, signal.SIGKILL)
-                os.waitpid(child, 0)
-                raise subprocess.TimeoutExpired(words, seconds)
-            time.sleep(0.005)
+        watch = os.pidfd_open(child)
+        over = bool(select.select([watch], [], [], seconds)[0])
+        os.close(watch)
+        if not over:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child, signal.SIGKILL)
+        ended = os.waitpid(child, 0)
+        if not over:
+            raise subprocess.TimeoutExpired(words, seconds)
         out.seek(0)
         err.seek(0)
         return subprocess.CompletedProcess(words, os.waitstatus_to_exitcode(ended[1]), out.read(), err.read())
