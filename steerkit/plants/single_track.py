@@ -124,15 +124,15 @@ class SingleTrack(IntegratedCar):
         return SingleTrackState._make((*motion, v, delta_sw))
 
     def _stepped(self, x: Sequence[Scalar], held: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-        """`maths.rk4` written out for five states: half the time of a car's sample."""
+        """`maths.rk4` written out for five states, none of whose rates sees x, y: half the time of a car's sample."""
         h = self.dt / self.substeps
         half, sixth = 0.5 * h, h / 6.0
         x1, x2, x3, x4, x5 = x
         f = self.motion
         a1, a2, a3, a4, a5 = f(x, held)
-        b1, b2, b3, b4, b5 = f((x1 + half * a1, x2 + half * a2, x3 + half * a3, x4 + half * a4, x5 + half * a5), held)
-        c1, c2, c3, c4, c5 = f((x1 + half * b1, x2 + half * b2, x3 + half * b3, x4 + half * b4, x5 + half * b5), held)
-        d1, d2, d3, d4, d5 = f((x1 + h * c1, x2 + h * c2, x3 + h * c3, x4 + h * c4, x5 + h * c5), held)
+        b1, b2, b3, b4, b5 = f((x1, x2, x3 + half * a3, x4 + half * a4, x5 + half * a5), held)
+        c1, c2, c3, c4, c5 = f((x1, x2, x3 + half * b3, x4 + half * b4, x5 + half * b5), held)
+        d1, d2, d3, d4, d5 = f((x1, x2, x3 + h * c3, x4 + h * c4, x5 + h * c5), held)
         return (
             x1 + sixth * (a1 + 2.0 * (b1 + c1) + d1),
             x2 + sixth * (a2 + 2.0 * (b2 + c2) + d2),
@@ -150,7 +150,7 @@ class SingleTrack(IntegratedCar):
         raise NotImplementedError
 
     def motion(self, x: Sequence[Scalar], held: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-        """The right-hand side, given what is held."""
+        """The right-hand side, given what is held; the same wherever on the map the car is."""
         raise NotImplementedError
 
 
