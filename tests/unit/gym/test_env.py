@@ -81,7 +81,7 @@ def test_actions_out_of_range_are_refused() -> None:
             env.step(action)
     env = TrackSteering(actions="continuous")
     env.reset(seed=0)
-    for value in (1.5, float("nan")):
+    for value in (1.5, -1.00001, float("nan")):
         with pytest.raises(ValueError, match=r"within \[-1, 1\]"):
             env.step(np.array([value]))
     with pytest.raises(ValueError, match=r"option .'x'. is not known; valid: s, e, psi_e"):

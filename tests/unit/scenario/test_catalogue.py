@@ -1,6 +1,8 @@
 """The catalogue: one recipe a controller, and what it is told is what it gets."""
 
+import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,9 @@ from steerkit.paths.courses import course
 from steerkit.scenario import Scenario, catalogue
 from steerkit.scenario.catalogue import CONTROLLERS, DesignModel, make_controller, make_element, make_recovery
 from steerkit.vehicles import vehicle
+from steerkit.vehicles.rollout import Rollout
 from tests.support.own_controller import own_controller
+from tests.support.places import ROOT
 
 BELIEF = DesignModel(vehicle=vehicle("vw-passat"), path=course("circle"), delay=0.1, lag=0.12)
 NARROW = replace(BELIEF, vehicle=replace(BELIEF.vehicle, delta_sw_max=radians_of(300.0)), rate_limit=radians_of(200.0))
@@ -97,8 +101,24 @@ def unhurried(numbers: dict[str, Any]) -> dict[str, Any]:
 def parameters(block: Any) -> dict[str, Any]:
     """The numbers and words in a block and in those inside it."""
     own = {key: value for key, value in vars(block).items() if isinstance(value, int | float | str)}
-    inner = {key: parameters(value) for key, value in vars(block).items() if isinstance(value, Block)}
-    return own | inner
+    inner = {key: parameters(value) for key, value in vars(block).items() if isinstance(value, Block | Rollout)}
+    several = vars(block).get("blocks", ())
+    return own | inner | {f"block {k}": parameters(one) for k, one in enumerate(several) if isinstance(one, Block)}
+
+
+LATE = replace(BELIEF, delay=0.55, lag=0.0, hold=0.01, slew=5.0, a_y_limit=1.5, offset=0.03, gain=0.8)
+
+
+@pytest.mark.parametrize("name", [*CONTROLLERS, *(f"recovery {name}" for name in catalogue.RECOVERIES), "safety"])
+def test_each_name_makes_what_is_written_down(name: str) -> None:
+    """For an angle and for a torque; who changes it on purpose renews its line in tests/golden/catalogue.json."""
+    makes = catalogue.make_safety if name == "safety" else partial(make_controller, name)
+    makes = partial(make_recovery, name.removeprefix("recovery ")) if name.startswith("recovery") else makes
+    models = (BELIEF, replace(BELIEF, delay=0.0)) if name == "safety" else (BELIEF, LATE)
+    found = json.loads(
+        json.dumps([parameters(makes(model)) for model in models]), parse_float=lambda x: f"{float(x):.6g}"
+    )
+    assert found == json.loads((ROOT / "tests/golden/catalogue.json").read_text()).get(name), json.dumps({name: found})
 
 
 def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
