@@ -38,10 +38,9 @@ from steerkit.plants.sensors import DegradedSensors, Sensors
 from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, RecordedSpeed, SpeedDriver, SpeedProfile
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as CAR
 from tests.support.compilers import optimising
 
-CAR = vehicle("vw-passat")
 PAPER = course("paper")
 SECONDS = 3.0
 CARS = 5

@@ -39,22 +39,11 @@ def untrained(how: Setting, speed: float) -> World:
     return world
 
 
-def worst_e(world: World, seconds: float) -> float:
-    """Largest |e| of a drive in which the learner has the wheel until it trips, and the recovery controller then."""
-    worst, end = 0.0, world.t + seconds
-    while world.t < end and world.mode is Mode.ENGAGED:
-        world.until(world.t + 0.05)
-        worst = max(worst, abs(world.core.senses.e))
-        if world.run.sample["supervisor.tripped"] > 0.5:
-            world.follow.trusted = False
-    return worst
-
-
 @pytest.mark.parametrize("speed", [2.0, 4.0, 6.0, 7.0])
 @pytest.mark.parametrize("name", ["default", "bang-bang"])
 def test_whatever_an_untrained_net_does_it_is_caught_well_before_the_hard_limit(name: str, speed: float) -> None:
     world = untrained(setting(name), speed)
-    worst = worst_e(world, 3.0)
+    worst = world.worst_e(3.0)
     assert not world.follow.trusted  # it did fail
     assert world.mode is Mode.ENGAGED
     assert worst < 1.6  # the hard limit is 2 m
@@ -65,7 +54,7 @@ def test_called_at_half_a_metre_the_recovery_controller_would_come_too_late(monk
     seen = loops.foresight(setup()[0])
     monkeypatch.setattr(loops, "foresight", lambda config: replace(seen, weight=1e-9))
     world = untrained(setting("default"), 6.0)
-    worst_e(world, 3.0)
+    world.worst_e(3.0)
     assert world.mode is Mode.FAULT
     assert world.modes[-1][2].startswith(("off the path", "leaving the path"))
 

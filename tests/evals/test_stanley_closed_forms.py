@@ -15,9 +15,8 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 
-PASSAT = vehicle("vw-passat")
 RADIUS = 40.0
 
 

@@ -49,10 +49,9 @@ from steerkit.plants.speed_driver import (
     SpeedProfile,
 )
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 from steerkit.vehicles.rollout import GateLimits, GateModel
 
-PASSAT = vehicle("vw-passat")
 _round = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
 OVAL = Path.from_waypoints(np.column_stack((25 * np.cos(_round), 15 * np.sin(_round))), closed=True, spacing=3.0)
 _rng = np.random.default_rng(0)

@@ -126,6 +126,16 @@ class World:
             if t >= end:
                 return
 
+    def worst_e(self, seconds: float) -> float:
+        """Largest |e| while it is engaged, for so long at the most; a learner that trips does not steer again."""
+        worst, end = 0.0, self.t + seconds
+        while self.t < end and self.mode is Mode.ENGAGED:
+            self.until(self.t + 0.05)
+            worst = max(worst, abs(self.core.senses.e))
+            if "supervisor.tripped" in self.run.sample and self.run.sample["supervisor.tripped"] > 0.5:
+                self.follow.trusted = False
+        return worst
+
     def packet(self, message: protocol.Message) -> None:
         self.handle(Packet(self.t, 1, protocol.encode(message)))
 

@@ -14,10 +14,8 @@ from steerkit.plants.sensors import Sensors
 from steerkit.plants.speed_driver import SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 from tests.support.parts import Angle, Count, Delay, Gain, Pair, Sum, Wave
-
-PASSAT = vehicle("vw-passat")
 
 
 def small() -> Loop:

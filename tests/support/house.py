@@ -1,16 +1,9 @@
-"""The plan of the house in numbers: `python -m tests.support.house [FOLDER]` (a checkout; default: this one).
-
-Modules side by side in each folder, imports between packages, and cycles of imports, those inside functions included.
-"""
+"""The modules of a package, what each imports, inside functions too, and cycles of imports."""
 
 import ast
-import sys
-from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
-
-from tests.support.places import ROOT
 
 
 def modules(root: Path, package: str) -> dict[str, Path]:
@@ -92,31 +85,3 @@ def mirror(file: str) -> str:
     if name == "__init__":
         name = folder[-1] if folder else "steerkit"
     return str(Path("tests/unit", *folder, f"test_{name.strip('_')}.py"))
-
-
-def package_of(module: str, depth: int = 2) -> str:
-    """`steerkit.plants.sensors` belongs to `steerkit.plants`."""
-    return ".".join(module.split(".")[:depth])
-
-
-def main(root: Path = ROOT) -> None:
-    """Print the plan."""
-    files = modules(root, "steerkit") | modules(root, "benchmarks")
-    sides = Counter(str(file.parent.relative_to(root)) for file in files.values())
-    print("modules side by side")
-    for folder, number in sorted(sides.items()):
-        print(f"  {folder:40s} {number}")
-    edges = graph(files)
-    between: dict[str, set[str]] = defaultdict(set)
-    for name, targets in edges.items():
-        between[package_of(name)] |= {package_of(t) for t in targets} - {package_of(name)}
-    arrows = sum(map(len, between.values()))
-    print(f"imports between modules: {sum(map(len, edges.values()))}; between packages: {arrows}")
-    found = cycles(edges)
-    print(f"cycles: {len(found)}")
-    for group in found:
-        print(f"  {len(group)}: {', '.join(group)}")
-
-
-if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))

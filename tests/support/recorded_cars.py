@@ -10,9 +10,9 @@ from steerkit.diagram.loop import Loop
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.vehicles import Vehicle, vehicle
+from steerkit.vehicles import VW_PASSAT as BASE
+from steerkit.vehicles import Vehicle
 
-BASE = vehicle("vw-passat")
 TRUE = replace(BASE, name="true", steer_ratio=14.2, c_f=150e3, c_r=210e3)
 TRUTH = dict(steer_ratio=14.2, delay=0.07, lag=0.09, delay_lag=0.16, offset=-0.03, c_f=150e3, c_r=210e3)
 TRUTH["understeer_gradient"] = TRUE.understeer_gradient

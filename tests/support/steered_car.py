@@ -9,10 +9,10 @@ from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn
-from steerkit.vehicles import Vehicle, vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
+from steerkit.vehicles import Vehicle
 from tests.support.stepped import from_there
 
-PASSAT = vehicle("vw-passat")
 HELD = 0.005
 """A plant of 10 ms holds its input: its answer is that much later [s]."""
 Signals = dict[str, np.ndarray]

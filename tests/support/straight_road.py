@@ -10,9 +10,8 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 
-PASSAT = vehicle("vw-passat")
 ROAD = straight(400.0)
 
 

@@ -101,19 +101,11 @@ class Mixed(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Branching(Block):
-    """Not traceable: an `if` on a signal."""
+class Hardware(Block):
+    """Not pure."""
 
     u = In("1")
     y = Out("1")
-
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(1.0 if u.u > 0.0 else 0.0)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Hardware(Branching):
-    """Not pure."""
 
     pure = False
 

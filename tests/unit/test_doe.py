@@ -51,11 +51,6 @@ def test_the_low_pass_steps_as_the_exponential(tau: float, dt: float) -> None:
     np.testing.assert_allclose(log["doe.delta_sw"], 1.5 * -np.expm1(-(log.t + dt) / tau), rtol=1e-12)
 
 
-def test_the_low_pass_does_not_depend_on_how_finely_it_is_sampled() -> None:
-    coarse, fine = (respond(LowPass(dt=dt), 1.5, seconds=1.0) for dt in (0.05, 0.01))
-    np.testing.assert_allclose(coarse["doe.delta_sw"], fine["doe.delta_sw"][4::5], rtol=1e-12)
-
-
 def test_direct_is_the_action() -> None:
     actions = [radians_of(360.0), radians_of(-360.0), radians_of(360.0)]
     log = respond(PlainAngle(), *actions, seconds=0.15)

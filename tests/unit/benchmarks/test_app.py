@@ -46,7 +46,6 @@ def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reference
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["run", "papr"], "did you mean 'paper'"),
         (["report", "nowhere"], "there are no such results"),
         (["compare", "a", "b"], "there are no such results"),
         (["run", "golden", "--only", "xyz"], "--only xyz: no scenario or controller"),

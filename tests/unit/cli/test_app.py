@@ -31,7 +31,6 @@ TWO = ("--controller", "mpc", "--controller", "lqr")
     ("words", "says"),
     [
         (("drive", "stanly"), "valid: stanley, stanley-textbook"),
-        (("drive", "stanley", "--course", "papr"), "did you mean 'paper'"),
         (("learn", "--setting", "defualt"), "valid: default, paper"),
         (("learn", "--config", "/does/not/exist.toml"), "cannot be read"),
         (("learn", "--with", "fit.nest=3"), "no 'nest' there; valid: discount, epochs"),

@@ -16,11 +16,10 @@ from steerkit.estimators.steering_delay import YawDelay
 from steerkit.paths.courses import circle
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive_loop
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 from tests.support.ranges import keeps_range
 from tests.support.steered_car import answered, steered
 
-PASSAT = vehicle("vw-passat")
 HERE = dict(e=0.02, psi_e=0.01, kappa=0.01, v=6.0, r=0.05, delta_sw_meas=0.01)
 HARD = replace(Stanley.of(PASSAT), k=5.0)
 SOFT = replace(HARD, k=1.0)

@@ -17,9 +17,8 @@ from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram.block import Block
 from steerkit.diagram.wrapper import Wrapper
 from steerkit.scenario.assembly import bare
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 
-PASSAT = vehicle("vw-passat")
 FILTER = SafetyFilter.of(PASSAT)
 HERE: dict[str, Any] = dict(
     command=0.1, e=0.0, psi_e=0.0, preview=(0.0,) * 16, v=6.0, r=0.0, delta_sw_meas=0.0, recovery=-0.2

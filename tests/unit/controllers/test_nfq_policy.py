@@ -66,21 +66,6 @@ def test_greedy_by_the_written_out_definition(policy: NfqPolicy) -> None:
 
 
 @policies
-def test_floats_batch_and_symbols_agree(policy: NfqPolicy) -> None:
-    s, function = cars(60, seed=1), traced(policy)
-    batch = ask(policy, s)
-    assert batch.action.shape == batch.q.shape == batch.ready.shape == (60,)
-    for i in range(60):
-        one = ask(policy, s[:, i].tolist())
-        action, ready, q = (float(value) for value in function(0.0, s[:, i]))
-        assert all(type(value) is float for value in one)
-        assert one.action == action == batch.action[i]
-        assert one.q == pytest.approx(q, abs=1e-12, rel=0)
-        assert one.q == pytest.approx(batch.q[i], abs=1e-12, rel=0)
-        assert one.ready == ready == batch.ready[i] == 1.0
-
-
-@policies
 @pytest.mark.parametrize("fault", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("port", range(6))
 def test_a_broken_input_shows_in_every_backend(policy: NfqPolicy, port: int, fault: float) -> None:
@@ -144,10 +129,6 @@ def test_broken_and_foreign_files_are_named(tmp_path: Path) -> None:
     file = tmp_path / "p.npz"
     POLICIES[0].save(file)
     whole = file.read_bytes()
-    for keep in (0, 10, len(whole) // 2, len(whole) - 5):
-        file.write_bytes(whole[:keep])
-        with pytest.raises(ValueError, match=r"p\.npz: cannot be read .* cut short or not a steerkit policy file"):
-            NfqPolicy.load(file)
     np.savez(file, x=np.zeros(3))
     with pytest.raises(ValueError, match="expected 'steerkit policy 1'"):
         NfqPolicy.load(file)

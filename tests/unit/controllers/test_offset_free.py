@@ -23,9 +23,8 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.drive import controller, drive
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 
-PASSAT = vehicle("vw-passat")
 STRAIGHT = Scenario(course="straight", driver={"v_min": 6.0, "v_max": 6.0})
 SLALOM = STRAIGHT.with_(course={"name": "slalom"})
 OFF = {"steering": {"offset_deg": 5.0}}

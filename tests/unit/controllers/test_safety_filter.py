@@ -19,11 +19,10 @@ from steerkit.diagram.wrapper import Wrapper
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.task import STOP
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 from steerkit.vehicles.rollout import GateLimits, GateModel
 from tests.support.ranges import keeps_range
 
-PASSAT = vehicle("vw-passat")
 SURE: dict[str, float] = dict(e_doubt=0.0, psi_doubt=0.0, yaw_doubt=0.0, ratio_doubt=0.0, delay_doubt=0.0)
 DOUBTS: dict[str, float] = dict(e_doubt=0.1, psi_doubt=0.02, yaw_doubt=0.05, ratio_doubt=0.3, delay_doubt=0.15)
 HERE: dict[str, float] = dict(command=0.0, e=0.0, psi_e=0.0, v=6.0, r=0.0, delta_sw_meas=0.0)

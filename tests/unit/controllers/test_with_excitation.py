@@ -14,9 +14,8 @@ from steerkit.doe import Integrator
 from steerkit.paths.courses import course
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.catalogue import DesignModel, make_controller
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 
-PASSAT = vehicle("vw-passat")
 STANLEY = Stanley.of(PASSAT)
 BELIEF = DesignModel(vehicle=PASSAT, path=course("paper"))
 U: dict[str, Any] = dict(e=0.0, psi_e=0.0, kappa=0.0, v=5.0, r=0.0, delta_sw_meas=0.0)

@@ -7,9 +7,7 @@ import pytest
 
 from steerkit.estimators.steering_response import arrived, at, steady_gain, yaw_delay, yaw_step
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.vehicles import vehicle
-
-PASSAT = vehicle("vw-passat")
+from steerkit.vehicles import VW_PASSAT as PASSAT
 
 
 def test_the_value_of_a_number_is_the_nearest_and_never_outside() -> None:

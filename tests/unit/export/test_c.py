@@ -23,9 +23,8 @@ from steerkit.plants.sensors import Sensors
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as CAR
 
-CAR = vehicle("vw-passat")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-ffp-contract=off"]
 SANITIZED = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="exported C is compiled with gcc")

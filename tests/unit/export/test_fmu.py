@@ -20,9 +20,8 @@ from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as CAR
 
-CAR = vehicle("vw-passat")
 OUTPUTS = ("path.e", "car.x", "car.v", "car.delta_sw", "controller.delta_sw")
 
 

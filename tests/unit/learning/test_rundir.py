@@ -46,11 +46,6 @@ def test_an_experiment_survives_its_plain_form(name: str) -> None:
     assert rundir.from_plain(data, "test") == experiment
 
 
-def test_an_unknown_field_is_told_with_the_valid_ones() -> None:
-    with pytest.raises(ValueError, match="no field 'minuts'; valid: setting, scenario, minutes"):
-        rundir.from_plain({"minuts": 3.0}, "my.toml", Experiment)
-
-
 def test_a_sparse_configuration_takes_the_defaults() -> None:
     sparse = {"minutes": 3.0, "setting": {"fit": {"nets": 1}, "cost": {"kind": "IdoeCost"}}}
     experiment = rundir.from_plain(sparse, "my.toml", Experiment)

@@ -19,11 +19,10 @@ from steerkit.plants.fmu import FmuPlant
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as CAR
 from tests.support.places import SUPPORT
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="the FMU needs a compiler")
-CAR = vehicle("vw-passat")
 STATES = ("x", "y", "psi", "beta", "r")
 PARAMETERS = ("m", "i_z", "l_f", "l_r", "c_f", "c_r", "steer_ratio")
 NAMES = (*STATES, *(f"der_{s}" for s in STATES), "wheel", "speed", "a_y", *PARAMETERS)

@@ -80,13 +80,6 @@ def test_v_and_beta_are_length_and_direction_of_the_velocity(cls, sway, v):
 
 
 @CARS
-def test_substeps_are_parts_of_a_sample(cls):
-    coarse = run(cls(vehicle=VW_PASSAT, dt=0.05, substeps=5), [(2.0, 6.0)] * 20)[1]
-    fine = run(cls(vehicle=VW_PASSAT, dt=0.01), [(2.0, 6.0)] * 100)[1]
-    assert coarse == pytest.approx(fine, rel=1e-12)
-
-
-@CARS
 def test_the_wheel_turns_the_car_through_the_steering_ratio(cls):
     """Twice the ratio and twice the angle at the steering wheel are the same car."""
     lazy = replace(VW_PASSAT, steer_ratio=2.0 * VW_PASSAT.steer_ratio)

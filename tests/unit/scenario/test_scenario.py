@@ -17,11 +17,11 @@ from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.parts import Course, Driver, Sensing
 from steerkit.scenario.scenario import FORMAT, read_scenario, tables, write_scenario
+from steerkit.vehicles import VW_PASSAT as PASSAT
 from steerkit.vehicles import G, vehicle
 from steerkit.vehicles.file import vehicle_text
 from tests.support.yard import yard
 
-PASSAT = vehicle("vw-passat")
 MULTI_BODY = "benchmarks.peers.commonroad:CommonRoadMultiBody"
 HEAD = f'format = "{FORMAT}"\n'
 
@@ -37,7 +37,6 @@ HEAD = f'format = "{FORMAT}"\n'
         ({"course": {"closed": True}}, "course: closed = True is only for a course from a file"),
         ({"course": {"start": 900.0}}, r"course: start = 900.0 \[m\].*the course's length"),
         ({"course": {"nam": "paper"}}, "course: no field 'nam'; valid: name, closed, start, rounds"),
-        ({"vehicle": "vw-pasat"}, "did you mean 'vw-passat'"),
         ({"vehicle": {"plant": "bicycle"}}, "'bicycle' is not known; valid: nonlinear, linear, package.module:Class"),
         ({"vehicle": {"plant": "steerkit.plants.single_track:Cat"}}, "steerkit.plants.single_track has no 'Cat'"),
         ({"vehicle": {"plant": "steerkit.doe:Integrator"}}, "expected a subclass of Car"),
@@ -54,7 +53,6 @@ HEAD = f'format = "{FORMAT}"\n'
         ({"driver": "recorded"}, "driver: 'recorded', expected a table of speed, v_min, v_max"),
         ({"steering": {"command": "hands"}}, "steering: command 'hands'; valid: angle, torque"),
         ({"steering": {"lag": "much"}}, r"lag = 'much', expected a number \[s\]"),
-        ({"steering": {"delay": 0.123}}, "delay = 0.123.*valid: 0.12 or 0.13"),
         ({"sensors": {"latency": 0.02}}, "latency = 0.02"),
         ({"sensors": {"noise": True}}, r"noise = True, expected a number \[1\]"),
         ({"steering": {"delay": 1.5}, "sensors": {"latency": 1.0}}, "add up to 2.5"),
@@ -262,7 +260,6 @@ def test_files_are_looked_for_beside_the_scenarios_own(given: str, tmp_path: Fil
     [
         ("[steering]\nlag = 0.1\n", f"s.toml: format = None, expected '{FORMAT}'"),
         (HEAD + "lag = 0.1\n", "s.toml: a scenario has no field 'lag'; it is a field of steering and knowledge"),
-        (HEAD + "lagg = 0.1\n", "s.toml: a scenario has no field 'lagg'; valid: name, reference"),
         (HEAD + "[steering]\nlagg = 0.1\n", "s.toml: scenario 'scenario': steering: no field 'lagg'; valid: command"),
         (HEAD + "[steering]\nlag = -0.1\n", r"s.toml: scenario 'scenario': steering: lag = -0.1 \[s\], expected 0 to"),
         (HEAD + 'course = "no.csv"\n', "s.toml: scenario 'scenario': course .*no.csv cannot be read"),

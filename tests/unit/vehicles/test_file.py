@@ -13,7 +13,6 @@ from tests.support.recorded_cars import BASE
     ("text", "says"),
     [
         ("x = ", "not TOML"),
-        ("a = 1", "format = None, expected 'steerkit vehicle 1'"),
         ('format = "steerkit vehicle 1"', r"no table \[vehicle\]"),
         (vehicle_text(BASE).replace("c_f", "c_g"), "lacks c_f"),
         (vehicle_text(BASE) + "wings = 2.0\n", "unknown key wings"),

@@ -9,10 +9,9 @@ from benchmarks.entries import controller
 from benchmarks.peers import agents as peers
 from benchmarks.run.drives import drive
 from benchmarks.scenarios import scene
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 
 STEP = scene(name="step", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0})
-PASSAT = vehicle("vw-passat")
 
 
 def test_do_mpc_holds_a_steady_bend_and_steers_back_onto_the_path() -> None:

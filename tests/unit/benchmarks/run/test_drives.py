@@ -18,7 +18,7 @@ from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import Log
 from steerkit.scenario import Scenario
-from steerkit.vehicles import vehicle
+from steerkit.vehicles import VW_PASSAT as PASSAT
 
 SCENARIO = scene(name="straight", course="straight")
 PATH = SCENARIO.path()
@@ -27,7 +27,6 @@ LOOP = suite_loop(SCENARIO, Stanley.of(SCENARIO.nominal))
 V = 5.0
 
 STEP = scene(name="step", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0})
-PASSAT = vehicle("vw-passat")
 
 
 def test_compiled_with_open_parameters_is_the_interpreted_drive() -> None:

@@ -83,27 +83,10 @@ def test_saved_and_loaded_bit_for_bit(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["t.npz", "u.npz"]
 
 
-@pytest.mark.parametrize("keep", [0, 1, 100, 0.5, 0.99])
-def test_a_truncated_file_is_named(tmp_path: Path, keep: float) -> None:
-    file = tmp_path / "t.npz"
-    filled(300).save(file)
-    whole = file.read_bytes()
-    file.write_bytes(whole[: int(keep if keep >= 1 else keep * len(whole))])
-    with pytest.raises(ValueError, match=r"t\.npz: cannot be read .* cut short or not a steerkit transitions file"):
-        Transitions.load(file)
-
-
 def test_foreign_files_are_named(tmp_path: Path) -> None:
     file = tmp_path / "t.npz"
     np.savez(file, x=np.zeros(3))
     with pytest.raises(ValueError, match="of another program', expected 'steerkit transitions 1'"):
-        Transitions.load(file)
-    np.savez(file, x=np.array([{}], dtype=object))
-    with pytest.raises(ValueError, match="cannot be read"):
-        Transitions.load(file)
-    with open(file, "wb") as out:
-        np.save(out, np.zeros(3))
-    with pytest.raises(ValueError, match="cannot be read"):
         Transitions.load(file)
     np.savez(file, format="steerkit transitions 1", names=["e"], s=np.zeros((2, 1)), a=np.zeros(3))
     with pytest.raises(ValueError, match="do not hold together"):
