@@ -176,7 +176,6 @@ def test_more_than_a_round_in_a_sample_leaves_the_search_where_it_was():
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("path", "paper", r"path is a str, expected a steerkit Path"),
         ("window", 900.0, r"window 900.0 \[m\], expected at most a round of Path\('paper', closed, 79"),
         ("preview_points", -1, r"preview_points -1, expected a count >= 0"),
     ],
