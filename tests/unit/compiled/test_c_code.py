@@ -5,7 +5,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,42 +28,29 @@ pytestmark = pytest.mark.skipif(native.compiler() is None, reason="needs a C com
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Asks(Block):
-    """Counts up from `start` and asks a table of three rows, unlimited; `floor` bounds it from below."""
+class Counts(Block):
+    """Counts up from `start`; `floor` bounds what it shows from below."""
 
-    row = Out("1", direct=())
     count = Out("1", direct=())
     start: float = 0.0
     floor: float = -math.inf
-    table: Table = field(default_factory=lambda: Table([[5.0], [6.0], [7.0]]))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(self.start, batch),)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        (value,) = self.table(x[0])
-        return self.Y(value, m.maximum(x[0], self.floor))
+        return self.Y(m.maximum(x[0], self.floor))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         return (x[0] + 1.0,)
 
 
-@pytest.mark.parametrize("cars", [None, 5])
-def test_a_table_asked_outside_of_its_rows_answers_nan(cars: int | None) -> None:
-    loop = Loop(blocks={"asks": Asks()}, wires=[])
-    below = m.filled(-3.0, () if cars is None else (cars,))
-    start = loop.with_block_state(loop.init(batch=cars), "asks", (below,))
-    log = compile(loop, backend="c").run(0.5, state=start, allow_nonfinite=True)
-    column = log["asks.row"] if cars is None else log["asks.row"][:, -1]
-    np.testing.assert_array_equal(column, [*[math.nan] * 3, 5.0, 6.0, 7.0, *[math.nan] * 4])
-
-
 @pytest.mark.parametrize("floor", [-math.inf, -2.0])
 def test_infinite_parameters_keep_their_sign(floor: float) -> None:
-    loop = Loop(blocks={"asks": Asks(floor=floor)}, wires=[])
-    start = loop.with_block_state(loop.init(), "asks", (-5.0,))
+    loop = Loop(blocks={"counts": Counts(floor=floor)}, wires=[])
+    start = loop.with_block_state(loop.init(), "counts", (-5.0,))
     log = compile(loop, backend="c").run(0.3, state=start, allow_nonfinite=True)
-    np.testing.assert_array_equal(log["asks.count"], np.maximum(np.arange(-5.0, 1.0), floor))
+    np.testing.assert_array_equal(log["counts.count"], np.maximum(np.arange(-5.0, 1.0), floor))
 
 
 def test_cars_with_several_held_values_each_keep_their_own() -> None:

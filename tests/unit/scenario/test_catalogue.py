@@ -121,13 +121,6 @@ def test_each_name_makes_what_is_written_down(name: str) -> None:
     assert found == json.loads((ROOT / "tests/golden/catalogue.json").read_text()).get(name), json.dumps({name: found})
 
 
-def test_a_gate_that_is_narrower_than_the_car_is_what_counts_on_it() -> None:
-    config = load("dbw-kit.toml")
-    config = replace(config, gate=replace(config.gate, delta_sw_max=radians_of(400.0), rate_max=radians_of(300.0)))
-    design_model = design_model_of(config)
-    assert (design_model.vehicle.delta_sw_max, design_model.rate_limit) == (radians_of(400.0), radians_of(300.0))
-
-
 @pytest.mark.parametrize(
     ("ask", "message"),
     [
