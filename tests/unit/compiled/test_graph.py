@@ -24,6 +24,7 @@ def test_the_graph_simplifies_only_what_is_exact() -> None:
     negative = g.add("lt", x, zero)
     assert g.add("select", negative, x, x) == x
     assert g.add("not", g.add("not", negative)) == negative
+    assert (g.boolean(negative), g.nodes[g.boolean(x)]) == (negative, ("ne", x, zero))
     assert g.const(0.0) != g.const(-0.0)
     assert g.const(math.nan) == g.const(math.nan)
 

@@ -225,6 +225,7 @@ def test_a_late_sensor_of_another_size_rate_and_zero_is_found_out(lag: float) ->
     late = -0.9 * motion(other - lag) + 0.05
     found = agreement(t, motion(t) + 0.02 * rng.normal(size=len(t)), other, late + 0.02 * rng.normal(size=len(other)))
     assert found.lag == pytest.approx(lag, abs=0.004)
+    assert agreement(t, motion(t), t, motion(t - lag)).lag == pytest.approx(lag, abs=1e-5)  # without noise
     assert found.scale == pytest.approx(-0.9, abs=0.01)
     assert found.offset == pytest.approx(0.05, abs=0.01)
     assert found.correlation < -0.99
