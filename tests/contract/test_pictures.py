@@ -41,8 +41,8 @@ from tests.support.straight_road import PASSAT, steered
 
 GOLDEN = ROOT / "tests/golden/pictures.json"
 LOOK = """text color facecolor edgecolor linewidth linestyle marker markersize markeredgewidth drawstyle zorder alpha
-fontsize fontweight ha va sizes cmap"""
-DATA = "xydata position offsets xy extent clim array"
+fontsize fontweight ha va sizes cmap frame_on"""
+DATA = "xydata position offsets xy extent clim array bbox_to_anchor"
 PANEL = "xlabel ylabel title xscale yscale facecolor xticks yticks"
 WAVES = """car.x car.y car.psi car.delta_sw car.a_y path.e path.psi_e path.kappa supervisor.learning supervisor.delta_sw
 controller.action"""
@@ -180,8 +180,9 @@ def summary(draw: Callable[[], Any]) -> dict[str, list[float]]:
         sizes = [left, tick.label1.get_fontsize(), tick.gridline.get_linewidth(), tick.gridline.get_visible()]
         limits = [*axes.get_xlim(), *axes.get_ylim(), *axes.get_position().bounds, *axes.margins()]
         found[f"{n} {words(axes, PANEL)}"] = limits + sizes
-        texts = [text for legend in filter(None, [axes.get_legend()]) for text in legend.get_texts()]
-        for artist in [*axes.lines, *axes.patches, *axes.collections, *axes.images, *axes.texts, *texts]:
+        legends = [axes.get_legend()] if axes.get_legend() else []
+        parts = [part for legend in legends for part in (legend, *legend.get_lines(), *legend.get_texts())]
+        for artist in [*axes.lines, *axes.patches, *axes.collections, *axes.images, *axes.texts, *parts]:
             found.setdefault(f"{n} {words(artist, LOOK)}", []).extend(numbers(artist))
     for artist in [*figure.texts, *(text for legend in figure.legends for text in legend.get_texts())]:
         found[words(artist, LOOK)] = numbers(artist)
