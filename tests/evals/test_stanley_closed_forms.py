@@ -13,30 +13,19 @@ from steerkit.paths.courses import circle, straight
 from steerkit.paths.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed
-from steerkit.scenario.assembly import placed, steering_loop
-from steerkit.vehicles import VW_PASSAT as PASSAT
+from tests.support.straight_road import PASSAT, looped
 
 RADIUS = 40.0
 
 
 def driven(plant: Any, stanley: Stanley, path: Path, v: float, seconds: float, **start: float) -> Log:
-    """A car steered by Stanley without actuator; `controller_path` follows the front axle."""
-    car = placed(plant(vehicle=PASSAT, v0=v), path, **start)
-    loop = steering_loop(car=car, path=path, driver=ConstantSpeed(speed=v), controller=stanley)
-    front = next(
-        name
-        for name, block in loop.blocks.items()
-        if getattr(block, "reference", 0.0) == PASSAT.l_f and block is not stanley
-    )
-    log = simulate(loop, seconds)
-    log.signals["e_front"] = log[f"{front}.e"]
-    return log
+    """A car steered by Stanley without actuator; e is that of the front axle."""
+    return simulate(looped(stanley, path, v, 0.0, car=plant(vehicle=PASSAT, v0=v), actuator=None, **start), seconds)
 
 
 def offset_on_the_circle(plant: Any, stanley: Stanley, v: float, left: bool) -> float:
     path = circle(RADIUS) if left else circle(RADIUS).reversed()
-    e = driven(plant, stanley, path, v, 25.0)["e_front"][-40:]
+    e = driven(plant, stanley, path, v, 25.0)["path.e"][-40:]
     assert np.ptp(e) < 1e-4  # steady
     return float(e[-1]) * (1.0 if left else -1.0)
 
@@ -65,5 +54,5 @@ def test_at_walking_pace_the_offset_dies_out_as_the_law_says() -> None:
     k, curve = bare.k / (bare.k_soft + v), v / PASSAT.wheelbase
     matrix = np.array([[0.0, v, v], [0.0, 0.0, curve], [-k / tau, -1.0 / tau, -1.0 / tau]])
     expected = [linalg.expm(matrix * t)[0, 0] for t in log.t]
-    np.testing.assert_allclose(log["e_front"] / 0.05, expected, atol=0.01)
+    np.testing.assert_allclose(log["path.e"] / 0.05, expected, atol=0.01)
     assert np.exp(-k * v * 1.0) == pytest.approx(expected[100], abs=0.03)

@@ -12,12 +12,10 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle
-from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
-from steerkit.plants.speed_driver import ConstantSpeed, SpeedDriver
+from steerkit.plants.speed_driver import SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario.assembly import placed, steering_loop
-from tests.support.straight_road import PASSAT, steered
+from tests.support.straight_road import PASSAT, looped, steered
 
 PLANT = control.ss([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], 0.05, inputs=["u"], outputs=["y"])
 FILTER = control.ss([[0.5]], [[1.0]], [[-0.08]], [[-0.02]], 0.05, inputs=["u"], outputs=["y"])
@@ -100,11 +98,7 @@ def test_what_does_not_matter_is_left_out() -> None:
 
 
 def test_in_a_bend_it_says_that_the_pose_turns() -> None:
-    path = circle(30.0)
-    car = placed(LinearSingleTrack(vehicle=PASSAT, v0=5.0), path)
-    loop = steering_loop(
-        car=car, path=path, driver=ConstantSpeed(speed=5.0), controller=Stanley.of(PASSAT), reference=PASSAT.l_f
-    )
+    loop = looped(Stanley.of(PASSAT), circle(30.0), 5.0, 0.0, actuator=None)
     steady = simulate(loop, 20.0).state
     with pytest.raises(analysis.NotTimeInvariantError, match="start on a straight path at a constant speed"):
         break_at(loop, "controller.delta_sw", at=steady)

@@ -17,10 +17,9 @@ from steerkit.export.fmu import export_fmu
 from steerkit.paths.courses import course
 from steerkit.plants.fmu import FmuPlant
 from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed
-from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import VW_PASSAT as CAR
 from tests.support.places import SUPPORT
+from tests.support.straight_road import looped
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="the FMU needs a compiler")
 STATES = ("x", "y", "psi", "beta", "r")
@@ -86,12 +85,8 @@ def plant(fmu: str) -> FmuPlant:
 
 
 def loop(car: FmuPlant | LinearSingleTrack) -> Loop:
-    return steering_loop(
-        car=placed(car, PATH, s=30.0, e=0.3, psi_e=0.05),
-        path=PATH,
-        driver=ConstantSpeed(speed=6.0),  # other than before the first sample
-        controller=Stanley.of(CAR),
-    )
+    """At another speed than before the first sample."""
+    return looped(Stanley.of(CAR), PATH, 6.0, 0.0, car=car, actuator=None, s=30.0, e=0.3, psi_e=0.05)
 
 
 def test_it_drives_as_the_same_car_of_ours(fmu: str) -> None:
