@@ -99,15 +99,19 @@ def test_a_sample_that_cannot_be_read_is_reported(name: str, port: str) -> None:
     ("kind", "wrong", "message"),
     [
         (WheelDelay, dict(longest=0.52), r"WheelDelay: longest = 0.52 \[s\], expected a multiple of dt"),
-        (WheelDelay, dict(longest=6.0), r"longest = 6.0 \[s\], expected 2 to 100 samples of 0.05 s"),
+        (WheelDelay, dict(longest=5.05), r"longest = 5.05 \[s\], expected 2 to 100 samples of 0.05 s"),
+        (WheelDelay, dict(longest=0.05, prior_delay=0.0), "expected 2 to 100 samples"),
         (WheelDelay, dict(prior_delay=0.9), r"prior_delay = 0.9 \[s\], expected 0 to 0.75"),
         (YawDelay, dict(vehicle="vw-passat"), "YawDelay: .*expected a Vehicle"),
         (SteeringFriction, dict(dt=0.2), r"dt = 0.2 \[s\], expected 0.001 to 0.15"),
         (SingleTrackFilter, dict(vehicle="vw-passat"), "expected a Vehicle"),
         (SingleTrackFilter, dict(vehicle=PASSAT, dt=0.5), r"dt = 0.5 \[s\], expected 0.001 to 0.15"),
         (SingleTrackFilter, dict(vehicle=PASSAT, longest=0.52), r"longest = 0.52 \[s\], expected a multiple of dt"),
+        (SingleTrackFilter, dict(vehicle=PASSAT, longest=5.05), "expected 1 to 100 samples"),
     ],
 )
 def test_parameters_out_of_range(kind: type[Block], wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         kind(**wrong)
+    assert [WheelDelay(longest=n, prior_delay=0.1).longest for n in (0.1, 5.0)] == [0.1, 5.0]
+    assert [SingleTrackFilter(vehicle=PASSAT, longest=n).longest for n in (0.05, 5.0)] == [0.05, 5.0]
