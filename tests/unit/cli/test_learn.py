@@ -13,7 +13,8 @@ from steerkit.scenario import Scenario
 
 def test_learn_from_a_config_then_show_and_drive_its_policy(tmp_path: Path, cli: Any) -> None:
     config, place, film = tmp_path / "my.toml", tmp_path / "run", tmp_path / "film.gif"
-    config.write_text("minutes = 0.2\nseed = 2\n[scenario]\ncourse = 'circle'\n[setting.fit]\nnets = 1\nepochs = 30\n")
+    course = "scenario.course = {name = 'circle', rounds = 0.2}"
+    config.write_text(f"minutes = 0.2\nseed = 2\n{course}\nsetting.fit = {{nets = 1, epochs = 30}}\n")
     merit = cli("learn", "--config", config, "--out", place, "--json").json
     assert (merit["seed"], merit["course"]) == (2, "circle")
     assert 0.2 <= merit["driving_minutes"] < 0.21
