@@ -20,10 +20,9 @@ from steerkit.paths.courses import straight
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
-from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.drive import controller, drive
-from steerkit.vehicles import VW_PASSAT as PASSAT
+from tests.support.straight_road import PASSAT, looped
 
 STRAIGHT = Scenario(course="straight", driver={"v_min": 6.0, "v_max": 6.0})
 SLALOM = STRAIGHT.with_(course={"name": "slalom"})
@@ -78,9 +77,8 @@ def test_in_a_steady_bend_neither_offset_nor_bank_nor_ratio_leaves_an_error(name
 
 def driven(block: Any, e: float) -> np.ndarray:
     """e at the front axle of a car that starts so far beside a straight, at 6 m/s."""
-    path = straight(200.0)
-    car = placed(NonlinearSingleTrack(vehicle=PASSAT, v0=6.0), path, s=5.0, e=e)
-    loop = steering_loop(car=car, path=path, driver=ConstantSpeed(speed=6.0), controller=block, reference=PASSAT.l_f)
+    car = NonlinearSingleTrack(vehicle=PASSAT, v0=6.0)
+    loop = looped(block, straight(200.0), 6.0, 0.0, car=car, actuator=None, s=5.0, e=e)
     return np.asarray(simulate(loop, 12.0)["path.e"])
 
 

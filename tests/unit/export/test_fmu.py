@@ -16,25 +16,17 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.export.fmu import export_fmu
 from steerkit.paths.courses import course
-from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import RecordedSpeed
-from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import VW_PASSAT as CAR
+from tests.support.straight_road import looped
 
 OUTPUTS = ("path.e", "car.x", "car.v", "car.delta_sw", "controller.delta_sw")
 
 
 def loop(k: float = 2.5) -> Loop:
     """With a human who repeats a record over time, which the FMU has to know."""
-    path = course("paper")
-    return steering_loop(
-        car=placed(LinearSingleTrack(vehicle=CAR, v0=5.0), path, s=20.0, e=0.3),
-        path=path,
-        driver=RecordedSpeed(speeds=(4.0, 6.0, 5.0, 7.0, 4.5), spacing=0.6),
-        controller=replace(Stanley.of(CAR), k=k),
-        actuator=SteeringActuator(delay=0.03),
-    )
+    human = RecordedSpeed(speeds=(4.0, 6.0, 5.0, 7.0, 4.5), spacing=0.6)
+    return looped(replace(Stanley.of(CAR), k=k), course("paper"), 5.0, 0.03, driver=human, s=20.0, e=0.3)
 
 
 @pytest.fixture(scope="module")

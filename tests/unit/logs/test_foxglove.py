@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit import LinearSingleTrack, Loop, Stanley, course, placed, simulate, steering_loop, vehicle
+from steerkit import Loop, Stanley, course, simulate
 from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
 from steerkit.logs import foxglove
 from steerkit.logs.foxglove import BEGIN, layout, shown_as, to_mcap
-from steerkit.plants.speed_driver import ConstantSpeed
 from tests.support.command_lines import run
 from tests.support.foxglove_client import Client, message_of
+from tests.support.straight_road import PASSAT, looped
 
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove")
@@ -39,9 +39,7 @@ def messages(file: Path) -> dict[str, list[tuple[int, Any]]]:
 
 @pytest.fixture(scope="module")
 def loop() -> Loop:
-    path, passat = course("circle"), vehicle("vw-passat")
-    car = placed(LinearSingleTrack(vehicle=passat, v0=5.0), path)
-    return steering_loop(car=car, path=path, driver=ConstantSpeed(speed=5.0), controller=Stanley.of(passat))
+    return looped(Stanley.of(PASSAT), course("circle"), 5.0, 0.0, actuator=None, reference=0.0)
 
 
 @pytest.fixture(scope="module")

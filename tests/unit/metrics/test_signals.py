@@ -34,29 +34,10 @@ def test_the_acceleration_of_a_parabola() -> None:
         metrics.accelerations([0.0, 0.1], [1.0, 2.0])
 
 
-def test_rms_and_largest_of_a_sine() -> None:
-    assert metrics.rms(0.3 * sine(0.2)[:-1]) == pytest.approx(0.3 / math.sqrt(2.0))
-    assert metrics.largest(-0.3 * sine(0.2)) == pytest.approx(0.3)
-    assert metrics.rms([3.0, -4.0]) == pytest.approx(math.sqrt(12.5))
-
-
 def test_share_within_counts_samples_inside_and_not_on_the_bound() -> None:
     assert metrics.share_within([0.0, 0.049, -0.049, 0.05, -0.2, math.nan, 1.0, 0.01], 0.05) == 0.5
     # a sine is within half its amplitude for a third of the time
     assert metrics.share_within(0.1 * sine(0.2)[:-1], 0.05) == pytest.approx(1.0 / 3.0, abs=0.01)
-
-
-def test_rates_of_a_ramp() -> None:
-    np.testing.assert_allclose(metrics.rates(T, 3.0 * T - 1.0), 3.0)
-
-
-def test_jerk_of_a_ramp_is_its_slope_and_of_a_step_is_spread_over_the_window() -> None:
-    np.testing.assert_allclose(metrics.lateral_jerk(T, 2.5 * T), 2.5)
-    step = np.where(T < 50.0, 0.0, 2.0)
-    jerk = metrics.lateral_jerk(T, step)
-    assert jerk.max() == pytest.approx(4.0)  # 2 m/s^2 in 0.5 s
-    assert np.count_nonzero(jerk) == 10
-    assert jerk.sum() * 0.05 == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("dt", [0.05, 0.01, 0.25])

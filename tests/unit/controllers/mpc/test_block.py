@@ -27,7 +27,7 @@ from steerkit.paths.tracker import PathTracker
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario.assembly import placed, steering_loop
+from steerkit.scenario.assembly import placed
 from tests.support.places import ROOT
 from tests.support.predictive import (
     CAR,
@@ -42,15 +42,14 @@ from tests.support.predictive import (
     kinds,
     unsolved,
 )
+from tests.support.straight_road import looped
 
 STEADY = ConstantSpeed(speed=6.0)
 STOPS = RecordedSpeed(speeds=(5.0, 0.0, 0.0, 5.0, 5.0), spacing=1.0)
 
 
 def loop_of(block: PredictiveSteering, driver: Any = STEADY, path: Any = None, **start: float) -> Loop:
-    path = path or circle(30.0)
-    car = placed(CAR, path, **({"e": 0.4} | start))
-    return steering_loop(car=car, path=path, driver=driver, actuator=MOTOR, controller=block, reference=CAR.vehicle.l_f)
+    return looped(block, path or circle(30.0), 5.0, MOTOR.delay, car=CAR, driver=driver, **({"e": 0.4} | start))
 
 
 # ---- what comes in --------------------------------------------------------------------------------------------------
