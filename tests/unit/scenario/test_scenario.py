@@ -96,6 +96,8 @@ def test_an_open_course_is_driven_without_its_ends_and_no_farther() -> None:
         scenario = Scenario(course={"name": name, "rounds": 1.5})
         assert scenario.round_length == course(name).length - ends
         assert scenario.length == 1.5 * scenario.round_length
+        for v_min, slowest in ((2.0, 2.0), (6.0, 4.0)):  # in bends all are slow
+            assert scenario.with_(driver={"v_min": v_min}).seconds == math.ceil(scenario.length / slowest + 10.0)
 
 
 def test_what_depends_on_the_seed_is_random() -> None:
