@@ -135,6 +135,15 @@ def test_the_centre_of_gravity_is_not_swung_beyond_the_limit(goal: float, start:
             assert abs(v * v * kappa(last) + v * LIMITS.arm * growth) <= LIMITS.a_y_max + slack
 
 
+@pytest.mark.parametrize("v", [1.0, 4.0, 9.0])
+def test_a_first_step_is_the_largest_that_the_centre_of_gravity_bears(v: float) -> None:
+    """Where neither rate nor jerk acts: v^2 kappa + v arm kappa/dt is within a_y_max, and beyond with a quantum more."""
+    limits = GateLimits(rate_max=100.0, jerk_max=1e4)
+    out = gate(limits, 9.0, 0.0, [v], 0.02).delta_sw
+    felt = [(v * v + v * limits.arm / 0.02) * kappa(wheel) for wheel in (out - TINY, out + limits.quantum + TINY)]
+    assert felt[0] <= limits.a_y_max < felt[1]
+
+
 def test_limits_are_checked() -> None:
     for field in ("delta_sw_max", "rate_max", "v_floor", "quantum", "dt_min"):
         for value in (0.0, -1.0, math.nan, math.inf):
