@@ -137,7 +137,7 @@ def test_the_centre_of_gravity_is_not_swung_beyond_the_limit(goal: float, start:
 
 @pytest.mark.parametrize("v", [1.0, 4.0, 9.0])
 def test_a_first_step_is_the_largest_that_the_centre_of_gravity_bears(v: float) -> None:
-    """Where neither rate nor jerk acts: v^2 kappa + v arm kappa/dt is within a_y_max, and beyond with a quantum more."""
+    """Where neither rate nor jerk acts: v^2 kappa + v arm kappa/dt is within a_y_max, and beyond one quantum later."""
     limits = GateLimits(rate_max=100.0, jerk_max=1e4)
     out = gate(limits, 9.0, 0.0, [v], 0.02).delta_sw
     felt = [(v * v + v * limits.arm / 0.02) * kappa(wheel) for wheel in (out - TINY, out + limits.quantum + TINY)]
