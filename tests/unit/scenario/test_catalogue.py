@@ -45,20 +45,6 @@ def test_every_controller_keeps_to_the_car_and_the_motor_that_it_is_told(name: s
     assert set(limits(make_controller(name, BELIEF), "limit")) == {radians_of(520.0)}
 
 
-@pytest.mark.parametrize("name", ["stanley-delay", "mpc", "nonlinear-mpc"])
-def test_who_reckons_with_the_steering_is_told_its_delay_and_lag(name: str) -> None:
-    block: Any = make_controller(name, BELIEF)
-    steering = block.model if name == "stanley-delay" else block
-    assert (steering.delay, steering.lag) == (0.1, 0.12)
-
-
-def test_the_others_are_made_for_the_delay() -> None:
-    waiting = {delay: len(make_controller("lqr", replace(BELIEF, delay=delay)).init()) for delay in (0.05, 0.1, 0.3)}
-    assert waiting == {0.05: 1, 0.1: 2, 0.3: 6}
-    look = make_controller("pure-pursuit", BELIEF).look_time  # type: ignore[attr-defined]
-    assert look > make_controller("pure-pursuit", replace(BELIEF, delay=0.0)).look_time  # type: ignore[attr-defined]
-
-
 @pytest.mark.parametrize("name", catalogue.ELEMENTS)
 def test_an_element_ends_at_the_stops(name: str) -> None:
     doe = make_element(name, NARROW.vehicle)
