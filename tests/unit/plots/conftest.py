@@ -4,10 +4,10 @@ import pytest
 
 from steerkit import Stanley, simulate
 from steerkit.diagram.simulation import Log
-from tests.support.circle_drive import PASSAT, PATH
-from tests.support.straight_road import looped
+from steerkit.paths.courses import circle
+from tests.support.straight_road import PASSAT, looped
 
 
 @pytest.fixture(scope="session")
 def log() -> Log:
-    return simulate(looped(Stanley.of(PASSAT), PATH, 5.0, 0.0, actuator=None, reference=0.0), 4.0)
+    return simulate(looped(Stanley.of(PASSAT), circle(), 5.0, 0.0, actuator=None, reference=0.0), 4.0)

@@ -8,9 +8,11 @@ import pytest
 from PIL import Image
 
 from steerkit.diagram.simulation import Log
+from steerkit.paths.courses import circle
 from steerkit.plots.animation import Moments, Scene, animate
-from tests.support.circle_drive import PATH
 from tests.support.command_lines import run
+
+PATH = circle()
 
 
 def test_a_film_has_its_frames_and_the_car_moves(log: Log, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from steerkit.diagram.simulation import Log
 from steerkit.doe import Integrator
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import RecordedSpeed
-from tests.support.circle_drive import PASSAT
+from tests.support.straight_road import PASSAT
 
 PNG = b"\x89PNG"
 
