@@ -124,4 +124,5 @@ def in_one_line(error: Exception) -> str:
         name = f"{error.filename}: " if error.filename is not None else ""
         text = f"{name}{error.strerror}"
     notes = getattr(error, "__notes__", ()) if isinstance(error, OSError) else ()
-    return " ".join("; ".join([text, *notes]).split("\n"))
+    line = " ".join("; ".join([text, *notes]).split("\n"))
+    return "".join(sign if sign.isprintable() else f"{sign!r}"[1:-1] for sign in line)  # a terminal obeys some of these

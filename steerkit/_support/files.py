@@ -7,6 +7,7 @@ import io
 import math
 import os
 import stat
+import sys
 import threading
 import tomllib
 import zipfile
@@ -23,11 +24,42 @@ from steerkit._support.errors import require
 File = str | os.PathLike[str]
 
 
+LARGEST = 1 << 32
+"""Bytes that a file may have, and its arrays in memory, by default."""
+LARGEST_TEXT = 1 << 26
+"""Bytes that a text may have, such as a configuration."""
+
+
+def opened(file: File, largest: int = LARGEST) -> io.BufferedReader:
+    """A file, open to be read; raises ValueError for a device or a pipe, which might never end, and one too large.
+
+    OSError as it is; that of a folder too.
+    """
+    number = os.open(file, os.O_RDONLY | os.O_NONBLOCK)  # else a pipe waits for who writes to it
+    try:
+        status = os.fstat(number)
+        if stat.S_ISDIR(status.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
+        require(stat.S_ISREG(status.st_mode), str(file), "is a device or a pipe, expected a file")
+        many = f"has {status.st_size / 1e6:.0f} MB, expected at most {largest / 1e6:.0f} MB"
+        require(status.st_size <= largest, str(file), many)
+        return open(number, "rb")
+    except BaseException:
+        os.close(number)
+        raise
+
+
+def read_bytes(file: File, largest: int = LARGEST) -> bytes:
+    """What is in a file; raises as `opened`."""
+    with opened(file, largest) as stream:
+        return stream.read()
+
+
 class Bounded(io.BufferedReader):
     """A file of which a spoilt length cannot ask for more than there is."""
 
     def __init__(self, path: FilePath):
-        super().__init__(io.FileIO(path))
+        super().__init__(opened(path, sys.maxsize).detach())
         self._length = path.stat().st_size
 
     def read(self, size: int | None = -1, /) -> bytes:
@@ -104,9 +136,9 @@ _NO_TEXT = {
 def read_text(file: File, where: str) -> str:
     """The text of a file in UTF-8, without the byte-order mark that some programs put before it.
 
-    Raises ValueError, in the name of `where`, for what is no such text, saying what it looks like; OSError as it is.
+    Raises ValueError, in the name of `where`, for what is no such text, saying what it looks like; else as `opened`.
     """
-    data = FilePath(file).read_bytes()
+    data = read_bytes(file, LARGEST_TEXT)
     known = next((what for start, what in _NO_TEXT.items() if data.startswith(start)), "")
     what = known or ("binary" if b"\0" in data else "")
     require(not what, where, f"{file} is {what}, expected text in UTF-8" if not known else f"{file} is {known}")
@@ -121,11 +153,17 @@ def read_text(file: File, where: str) -> str:
 def read_toml(file: File, where: str) -> dict[str, Any]:
     """What a TOML file holds; raises ValueError, in the name of `where`, for one that cannot be read or is no TOML."""
     try:
-        return tomllib.loads(read_text(file, where))
+        return toml_of(read_text(file, where), where)
     except OSError as error:
         raise ValueError(f"{where}: cannot be read ({error.strerror}), expected a TOML file") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{where}: not TOML ({error})") from error
+
+
+def toml_of(text: str, where: str) -> dict[str, Any]:
+    """What a text in TOML says; raises ValueError, in the name of `where`, for one that is no TOML."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # a number of 5000 digits is a ValueError too
+        raise ValueError(f"{where}: not TOML ({error!s:.200})") from error
 
 
 def write_npz(file: File, arrays: Mapping[str, Any], *, compressed: bool = False, durable: bool = True) -> None:
@@ -145,10 +183,6 @@ def write_npz(file: File, arrays: Mapping[str, Any], *, compressed: bool = False
             raise
 
 
-LARGEST = 1 << 32
-"""Bytes that the arrays of a file may take in memory, by default."""
-
-
 def read_npz(file: File, where: str, *, largest: int = LARGEST) -> dict[str, NDArray[Any]]:
     """The arrays of an .npz file by name; nothing in it is ever executed.
 
@@ -157,7 +191,7 @@ def read_npz(file: File, where: str, *, largest: int = LARGEST) -> dict[str, NDA
     FileNotFoundError, IsADirectoryError and PermissionError as they are.
     """
     try:
-        with FilePath(file).open("rb") as stream, np.lib.npyio.NpzFile(stream, allow_pickle=False) as data:
+        with opened(file) as stream, np.lib.npyio.NpzFile(stream, allow_pickle=False) as data:
             assert data.zip is not None
             _check_sizes(data.zip, largest)
             return {key: data[key] for key in data.files}

@@ -1,4 +1,8 @@
-"""What users write themselves, found by name: `my_file.py:make` or `package.module:make`."""
+"""What users write themselves, found by name: `my_file.py:make` or `package.module:make`.
+
+Only what the user names is run, in a call or on the command line. A file is data: it brings in nothing by a name in it
+that the user has not named too, and nothing that has changed since the file was written.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,42 @@ import importlib
 import importlib.util
 import os
 import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from steerkit._support.errors import require
+from steerkit._support.files import read_bytes
 
 _PREFIX = "_steerkit_outside_"
 """How the names of modules begin that are files of users."""
+
+_mine: set[str] = set()
+"""Files and modules that the user has named in this program."""
+_data: ContextVar[tuple[str, Mapping[str, Any], bool] | None] = ContextVar("_data", default=None)
+
+
+def mine(code: str) -> None:
+    """Let files name what is in that file or module of the user's; it is imported only when one does."""
+    _mine.add(code.rpartition(":")[0] or code)
+
+
+@contextmanager
+def named_in(file: str, prints: Any = None, *, loaded: bool = True) -> Iterator[None]:
+    """Inside, names come from `file`: `imported` refuses what the user has not named, and no loaded module has.
+
+    prints: fingerprints of what it names, as `fingerprints` gave them when it was written; others are refused.
+    loaded: may it name what is in a module that the program has loaded already: for classes, which are looked at first.
+    """
+    before = _data.set((file, prints if isinstance(prints, Mapping) else {}, loaded))
+    try:
+        yield
+    finally:
+        _data.reset(before)
 
 
 def is_outside(name: str) -> bool:
@@ -28,15 +59,30 @@ def imported(name: str, where: str) -> Any:
 
     name: `FILE.py:THING` or `PACKAGE.MODULE:THING`. where: what it is wanted for, such as `controller`; errors begin
     with it. A file is run as it stands now, with its folder on the path, so that it can import its neighbours. Raises
-    ValueError, in one line, for a file or module that is not there, or fails when it is run, or lacks the thing.
+    ValueError, in one line, for a file or module that is not there, or fails when it is run, or lacks the thing, or is
+    named by a file alone: see `named_in`.
     """
     home, _, thing = name.rpartition(":")
     where = f"{where} '{name}'"
     require(home and thing.isidentifier(), where, "expected FILE.py:NAME or PACKAGE.MODULE:NAME")
+    _note(home, where)
     module = _from_file(Path(home), where) if home.endswith(".py") else _from_package(home, where)
     public = [key for key in vars(module) if not key.startswith("_")]
     require(hasattr(module, thing), where, f"{home} has no '{thing}'; it has {', '.join(public) or 'nothing'}")
     return getattr(module, thing)
+
+
+def _note(home: str, where: str) -> None:
+    """Take note of what the user names; refuse what a file alone does, and what has changed since that was written."""
+    if (data := _data.get()) is None:
+        _mine.add(home)
+        return
+    file, prints, loaded = data
+    loaded = loaded and not home.endswith(".py") and home in sys.modules
+    trust = f"if you trust it: steerkit --code {home} ..., or import it in Python"
+    require(loaded or home in _mine, where, f"{file} names it, and nothing that a file names is run; {trust}")
+    changed = f"{home} has changed since {file} was written: another SHA-256"
+    require(prints.get(home) in (None, _print(home, where)), where, changed)
 
 
 def name_of(thing: type) -> str:
@@ -57,12 +103,29 @@ def name_of(thing: type) -> str:
 
 def fingerprint(name: str, where: str) -> str:
     """16 hexadecimal digits that change with the file, or the module's file, in which `name` is to be found."""
-    home = name.rpartition(":")[0]
+    home, where = name.rpartition(":")[0], f"{where} '{name}'"
+    if _data.get():
+        _note(home, where)
+    return _print(home, where)
+
+
+def _print(home: str, where: str) -> str:
     if home.endswith(".py"):
-        return _digest(_text(Path(home), f"{where} '{name}'"))
-    imported(name, where)
+        return _digest(_text(Path(home), where))
+    _from_package(home, where)
     file = getattr(sys.modules[home], "__file__", None)
     return _digest(Path(file).read_bytes()) if file else ""
+
+
+def fingerprints(data: Any) -> dict[str, str]:
+    """Of all that nested tables name as `kind`, `doe` or `plant`, by file or module."""
+    found = dict[str, str]()
+    for key, value in data.items():
+        if isinstance(value, dict):
+            found |= fingerprints(value)
+        elif key in ("kind", "doe", "plant") and is_outside(str(value)):
+            found[value.rpartition(":")[0]] = fingerprint(value, key)
+    return found
 
 
 def _from_file(file: Path, where: str) -> ModuleType:
@@ -105,7 +168,7 @@ def _from_package(home: str, where: str) -> ModuleType:
 
 def _text(file: Path, where: str) -> bytes:
     try:
-        return file.read_bytes()
+        return read_bytes(file)
     except OSError as error:
         raise ValueError(f"{where}: {file} cannot be read ({error.strerror}), looked for in {Path.cwd()}") from error
 

@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit._support.errors import known, require
-from steerkit._support.files import write_text
+from steerkit._support.files import read_bytes, write_text
 from steerkit.car import loop as loops
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
@@ -207,7 +207,7 @@ def of_recording(recording: FilePath) -> Calibrated:
     drive = max(drives, key=lambda drive: len(drive.requests))
     estimators, _ = replays.replayed_estimates(drive, config)
     lost = () if recorded.whole else (f"the recording is damaged or cut short: {recorded.kept()}",)
-    digest = hashlib.sha256(recording.read_bytes()).hexdigest()
+    digest = hashlib.sha256(read_bytes(recording)).hexdigest()
     found = estimators.found()
     return Calibrated(config=config, found=found, before=earlier(config), log=recording.name, digest=digest, notes=lost)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import importlib.util
 import math
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -19,12 +18,12 @@ from pathlib import Path as File
 from typing import Any
 
 from steerkit._support.errors import in_one_line, known
-from steerkit._support.files import read_text
+from steerkit._support.files import LARGEST_TEXT, read_bytes, read_text, toml_of
 from steerkit._support.plugins import is_outside
 from steerkit.car.frames import MAX_JUMP, CommandWriter, FrameReader, Mapping, signal_range
 from steerkit.car.gate import GateLimits
 from steerkit.car.motion import MotionLimits
-from steerkit.car.ports import python_can
+from steerkit.car.ports import checked, python_can
 from steerkit.car.state_machine import StateLimits
 from steerkit.diagram.units import FACTORS, degrees_of, radians_of
 from steerkit.paths.courses import course
@@ -215,6 +214,12 @@ WRITTEN = {
     "crc": re.compile(r".*(CRC|CHECKSUM).*", re.I),
 }
 """The same of the signals that we write, by their part in the command."""
+MEANING = re.compile(r"TYPE|MODE", re.I)
+"""Signals of a command that say what it means: an angle, or perhaps a torque."""
+SMALLEST, LARGEST = 1e-12, 1e9
+_PLAUSIBLE = f"scales from {SMALLEST:g} to {LARGEST:g}, offsets up to {LARGEST:g}"
+STEPS = 20
+"""A signal has so many steps at least up to what the limits ask about."""
 
 
 def audit(config: CarConfig) -> list[str]:
@@ -281,9 +286,15 @@ def _ranges(config: CarConfig) -> Iterator[str]:
         ("v_kit", states.v_max),
         ("torque", 1.2 * states.torque_max),
         ("r", 0.5),
+        *(("psi", 2.0 * math.pi), ("x", 20.0), ("y", 20.0)),
     ):
         mapping = config.quantities.get(quantity)
         if mapping is None:
+            continue
+        step = abs(_signal(config, mapping).scale * mapping.gain)
+        if step > least / STEPS:
+            yield f"[read.{quantity}] {mapping.signal}: steps of {step:.3g} [SI], expected at most {least / STEPS:.3g}"
+        if quantity in ("psi", "x", "y"):
             continue
         low, high = _reach(config, mapping)
         one_sided = quantity in ("v", "v_kit")
@@ -323,6 +334,10 @@ def _command(config: CarConfig) -> Iterator[str]:
             yield f"[write.fixed] {name} is written by [write] already"
         elif value and DANGEROUS.search(name):
             yield f"[write.fixed] {name} = {value}, expected 0: it switches a protection of the kit off"
+        elif value and MEANING.search(name):
+            choices = writer.message.get_signal_by_name(name).choices or {}
+            if not re.search(r"angle|position", str(choices.get(value, "")), re.I):
+                yield f"[write.fixed] {name} = {value}, expected 0, or a value that the DBC (VAL_) names an angle"
     signal = writer.message.get_signal_by_name(writer.angle.signal)
     if not degrees_of(writer.quantum) <= 1.0:
         yield f"[write] {signal.name} has steps of {degrees_of(writer.quantum):.3g} deg, expected at most 1 deg"
@@ -357,10 +372,10 @@ def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
     """
     path = File(file) if File(file).exists() else shipped(str(file))
     try:
-        text = path.read_text(encoding="utf-8")
-        data = tomllib.loads(text)
-    except (OSError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: cannot be read as TOML ({error})") from error
+        text = read_text(path, "car")
+        data = toml_of(text, "car")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read as TOML ({in_one_line(error)})") from error
     for name in ("can", "cantools"):
         if importlib.util.find_spec(name) is None:
             raise ConfigError(f"{path}: a car needs the package {name}: pip install 'steerkit-control[car]'")
@@ -431,14 +446,17 @@ class Reading:
     def bus(self) -> dict[str, Any]:
         table = self.table("bus", ("interface", "channel", "bitrate", "options"))
         interface = self.entry("bus", table, "interface", str)
-        if interface:
-            self.one_of(interface, sorted(python_can().interfaces.BACKENDS), "[bus] interface of python-can")
         channel = table.get("channel")
         if not isinstance(channel, (str, int)) or isinstance(channel, bool):
             self.wrong(f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number")
         options = self.entry("bus", table, "options", dict, {})
+        for key, value in options.items():
+            if key in _BUS or not isinstance(value, (str, int, float)):
+                self.wrong(f"[bus] options: {key} = {value!r:.50}, expected numbers, texts, none of {', '.join(_BUS)}")
         bitrate = {"bitrate": self.entry("bus", table, "bitrate", int)} if "bitrate" in table else {}
-        return {"interface": interface, "channel": channel, **bitrate, **options}
+        with self.noted(""):
+            return checked({**options, "interface": interface, "channel": channel, **bitrate})
+        return {}
 
     def controllers(self) -> tuple[str, ...]:
         names = self.entry("controllers", self.table("controllers", ("allow",)), "allow", list, [])
@@ -461,11 +479,11 @@ class Reading:
         import cantools
 
         def beside_or_shipped(place: File) -> str:
-            return (place if place.is_file() else shipped(place.name)).read_text(encoding="cp1252")
+            return read_bytes(place if place.exists() else shipped(place.name), LARGEST_TEXT).decode("cp1252")
 
         database = cantools.database.Database(strict=True)
         for name in map(str, self.entry("files", self.table("files", ("dbc",)), "dbc", list)):
-            with self.noted(f"[files] dbc: {name}: ", cantools.database.Error):
+            with self.noted(f"[files] dbc: {name}: ", Exception):  # whatever the parser makes of what is no DBC
                 database.add_dbc_string(self.text(name, beside_or_shipped))
         return database
 
@@ -521,8 +539,9 @@ class Reading:
         if not self.one_of(name, [s.name for s in message.signals], f"[{where}] signal of {message.name}"):
             return None
         signal = message.get_signal_by_name(name)
-        if not (math.isfinite(signal.scale) and signal.scale != 0.0):
-            self.wrong(f"[{where}] {message.name}.{name}: scale {signal.scale} in the DBC, expected one that is not 0")
+        if not (SMALLEST <= abs(signal.scale) <= LARGEST and abs(signal.offset) <= LARGEST):
+            numbers = f"scale {signal.scale!s:.20}, offset {signal.offset!s:.20} in the DBC"
+            self.wrong(f"[{where}] {message.name}.{name}: {numbers}, expected {_PLAUSIBLE}")
             return None
         return signal
 
@@ -539,8 +558,8 @@ class Reading:
             return None
         if sign not in (1.0, -1.0):
             self.wrong(f"[{where}] sign = {sign:g}, expected 1 or -1")
-        if not (math.isfinite(scale) and scale > 0.0 and math.isfinite(offset)):
-            self.wrong(f"[{where}] scale = {scale}, offset = {offset}, expected scale > 0 and both finite")
+        if not (SMALLEST <= scale <= LARGEST and abs(offset) <= LARGEST):
+            self.wrong(f"[{where}] scale = {scale}, offset = {offset}, expected scale > 0, {_PLAUSIBLE}")
             return None
         return Mapping(frame=message.name, signal=signal.name, unit=unit, scale=scale, sign=sign, offset=offset)
 
@@ -689,6 +708,8 @@ class Reading:
         return float(value) if kind is float else value
 
 
+_BUS = ("interface", "channel", "bitrate", "config_context", "ignore_config")
+"""Arguments of `can.Bus` that are no options of an interface."""
 _KINDS = {
     str: "a text",
     int: "a whole number",
@@ -706,13 +727,13 @@ def loaded(config: str, channel: str = "") -> tuple[CarConfig, Path]:
 
 
 def bus_of(channel: str) -> dict[str, Any] | None:
-    """The arguments of `can.Bus` for `INTERFACE:CHANNEL`, or for a serial device or socket:// of slcan; None for ""."""
+    """`can.Bus` arguments of `INTERFACE:CHANNEL`, or a serial device or socket:// of slcan, `checked`; None for ""."""
     if not channel:
         return None
     other = re.fullmatch(r"([a-z_0-9]+):(?!//)(.+)", channel)
     if other:
-        return {"interface": other[1], "channel": other[2]}
-    return {"interface": "slcan", "channel": channel, "bitrate": 500000, "sleep_after_open": 0.0}
+        return checked({"interface": other[1], "channel": other[2]})
+    return checked({"interface": "slcan", "channel": channel, "bitrate": 500000, "sleep_after_open": 0.0})
 
 
 def course_of(config: CarConfig) -> Path:

@@ -24,6 +24,7 @@ from typing import Any, Self
 from steerkit._support.clock import Clock
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
+from steerkit._support.plugins import fingerprints
 from steerkit.car.client import CarClient
 from steerkit.car.config import CarConfig
 from steerkit.car.loop import RUN_FORMAT, Follow, Steers, car_loop, design_model_of, filtered_in, setting_of
@@ -237,7 +238,8 @@ def _claim(place: FilePath, setting: Setting) -> None:
     file = place / "car.json"
     (place / "nets").mkdir(exist_ok=True)
     if not file.exists():
-        write_text(file, json.dumps({"format": RUN_FORMAT, "setting": rundir.plain(setting)}, indent=1))
+        kept = {"format": RUN_FORMAT, "setting": (table := rundir.plain(setting)), "code": fingerprints(table)}
+        write_text(file, json.dumps(kept, indent=1))
     other = setting_of(place)
     why = f"learned with the setting '{other.name}', which differs from '{setting.name}'"
     hint = f"continue it with --setting {other.name}, or choose a new directory"

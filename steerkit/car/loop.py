@@ -13,7 +13,8 @@ from typing import Any, Self
 
 from steerkit._support.clock import Clock
 from steerkit._support.errors import require
-from steerkit._support.plugins import is_outside
+from steerkit._support.files import read_bytes
+from steerkit._support.plugins import fingerprint, is_outside, named_in
 from steerkit.car.client import CarClient, RealCar
 from steerkit.car.config import CarConfig, course_of
 from steerkit.car.estimates import EVERY
@@ -136,6 +137,8 @@ class Steers:
     """A controller's name, or the file of a policy."""
     sha256: str = ""
     """Of that file."""
+    code: str = ""
+    """Fingerprint of a user's own code: the controller's, or that of `doe`."""
     doe: str = ""
     """The policy's dynamic output element: see `steerkit.learning.settings.ELEMENTS`."""
     recovery: str = "stanley"
@@ -148,7 +151,8 @@ class Steers:
     @classmethod
     def by_policy(cls, file: FilePath, doe: str, **more: Any) -> Self:
         """A policy in `file`, which has to be there."""
-        return cls(name=str(file.resolve()), sha256=hashlib.sha256(file.read_bytes()).hexdigest(), doe=doe, **more)
+        more["code"] = fingerprint(doe, "element") if is_outside(doe) else ""
+        return cls(name=str(file.resolve()), sha256=hashlib.sha256(read_bytes(file)).hexdigest(), doe=doe, **more)
 
     def text(self) -> str:
         """As JSON, for `Remark`."""
@@ -158,7 +162,10 @@ class Steers:
     def read(cls, text: str) -> Self:
         """What `text` wrote; raises ValueError for anything else."""
         try:
-            return cls(**json.loads(text))
+            steers = cls(**json.loads(text))
+            kinds = [type(value) for value in vars(steers).values()]
+            require(kinds == [*5 * [str], bool, bool], "fields", "of another type")
+            return steers
         except (TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"remark {text[:2000]!r}: not who steers ({error})") from error
 
@@ -220,7 +227,9 @@ def controller_named(name: str, config: CarConfig, *, in_time: bool = False) -> 
         block = with_excitation(make_controller(base, design_model), wave, config.vehicle)
         return Controller(block=block, steers=Steers(name=name))
     if name in CONTROLLERS or is_outside(name):
-        return Controller(block=make_controller(name, design_model), steers=Steers(name=name))
+        block = make_controller(name, design_model)
+        code = fingerprint(name, "controller") if is_outside(name) else ""
+        return Controller(block=block, steers=Steers(name=name, code=code))
     place = LEARNED if name == "nfq" else FilePath(name)
     if place.is_dir():
         nets = [f for f in sorted(place.glob("nets/net-*.npz")) if f.stem != "net-0000"]
@@ -258,7 +267,8 @@ def element_of(place: FilePath) -> str:
 def setting_of(place: FilePath) -> Setting:
     """How a run on a car learns; raises ValueError for a directory that holds none."""
     data = rundir.document(place, "car.json", RUN_FORMAT, ["setting"])
-    return rundir.from_plain(data["setting"], str(place / "car.json"), Setting)
+    with named_in(f"{place}/car.json", data.get("code")):
+        return rundir.from_plain(data["setting"], str(place / "car.json"), Setting)
 
 
 def car_loop(

@@ -49,6 +49,8 @@ STEERS = {None: "", True: " by the learner", False: " by the recovery controller
 SHOWN = {name: f"car.{name}" for name in Snapshot._fields if name not in ("t", "mode", "text")}
 SHOWN |= {"e": "path.e", "psi_e": "path.psi_e", "command": "gate.delta_sw"}
 """What a snapshot holds, and its name among a drive's signals."""
+UNRECORDED = ("not recorded: ", "recording: ")
+"""How what a snapshot says against its recording begins."""
 LONGEST_RATE = 200.0
 """The most samples a second that the car server may be asked for."""
 
@@ -96,7 +98,7 @@ class Panel:
     def _serve(self, link: CarClient) -> None:
         link.order(Order.ARM)
         last: Snapshot | None = None
-        said, drawn = "", -math.inf
+        said, drawn, unrecorded = "", -math.inf, ""
         period = PERIOD / self.session.options.time_scale
         if not self.live and sys.stdin.isatty():
             print(f"keys: {HELP}", flush=True)
@@ -123,6 +125,9 @@ class Panel:
                     link.refused.clear()
                 if not self.live and (last is None or snapshot.mode is not last.mode):
                     print(line_of(snapshot), flush=True)
+                lost = next((w for w in snapshot.text.split("\n") if w.startswith(UNRECORDED)), unrecorded)
+                if not self.live and lost != unrecorded:
+                    print(unrecorded := lost, file=sys.stderr, flush=True)
                 if snapshot.mode is not (last and last.mode) or time.monotonic() - drawn > 0.12:
                     show(snapshot, said)
                     drawn = time.monotonic()

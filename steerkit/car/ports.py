@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import socket
 import sys
 import tty
 from types import ModuleType
 from typing import Any
+
+from steerkit._support.errors import known, require
+
+INTERFACES = ("slcan", "socketcan", "pcan", "kvaser", "vector", "ixxat", "socketcand", "udp_multicast", "virtual")
+"""Interfaces of python-can that a car may have."""
 
 
 def python_can() -> ModuleType:
@@ -31,16 +37,33 @@ def python_can() -> ModuleType:
     return can
 
 
+def checked(bus: dict[str, Any]) -> dict[str, Any]:
+    """`bus`, arguments of `can.Bus`; raises ValueError for an interface that is none of `INTERFACES`.
+
+    slcan goes over a serial device or TCP: other addresses of pyserial, such as spy://, write files.
+    """
+    known(str(bus["interface"]), INTERFACES, "[bus] interface")
+    address = str(bus["channel"]).partition("@")[0]
+    ok = bus["interface"] != "slcan" or "://" not in address or re.fullmatch(r"socket://[\w.-]+:\d+", address)
+    require(ok, f"[bus] channel {address!r}", "expected a serial device, such as /dev/ttyACM0, or socket://HOST:PORT")
+    return bus
+
+
 def open_bus(arguments: dict[str, Any]) -> Any:
     """`can.Bus` of these arguments; raises OSError, naming them, when it cannot be opened."""
     can = python_can()
     try:
-        return can.Bus(**arguments)
+        return can.Bus(**checked(arguments), ignore_config=True)  # python-can would read more from files
     except Exception as error:  # the interfaces' own libraries raise whatever they like, a NameError included
         where = ", ".join(f"{k} = {v!r}" for k, v in arguments.items())
         raise OSError(
             f"bus {where}: cannot be opened ({error}); is the adapter there and free, its interface installed?"
         ) from error
+
+
+def lost(error: Exception) -> Exception:
+    """An error of a bus as one that ends a program in one line: what the interfaces raise is no OSError."""
+    return error if isinstance(error, (OSError, ValueError)) else OSError(f"the bus is lost: {error}")
 
 
 class BusPort:
@@ -57,9 +80,12 @@ class BusPort:
         """The frames (id, data) that came in, after at most `timeout` [s] without any."""
         frames: list[tuple[int, bytes]] = []
         pause = max(0.0, timeout)
-        while (message := self._bus.recv(pause)) is not None and len(frames) < 100:
-            frames.append((message.arbitration_id, bytes(message.data)))
-            pause = 0.0
+        try:
+            while (message := self._bus.recv(pause)) is not None and len(frames) < 100:
+                frames.append((message.arbitration_id, bytes(message.data)))
+                pause = 0.0
+        except python_can().CanError as error:
+            raise lost(error) from error
         return frames
 
     def send(self, frame_id: int, data: bytes) -> None:

@@ -9,6 +9,7 @@ missing. A place that does not fit its sum is left out up to the next that does.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import logging
@@ -20,13 +21,12 @@ import re
 import struct
 import threading
 import time
-import tomllib
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as File
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 from steerkit._support import files
 from steerkit._support.errors import require
@@ -34,6 +34,7 @@ from steerkit._support.files import atomic_write
 from steerkit.car import protocol
 from steerkit.car.config import CarConfig, Reading
 from steerkit.car.core import Core, End, Event, Frame, Link, Note, Output, Packet, RecordingFault, Send, Tick
+from steerkit.car.state_machine import Mode
 from steerkit.paths.path import Path
 
 _log = logging.getLogger("steerkit.car")
@@ -121,15 +122,20 @@ class RecordingFile:
         self._writer.flush()
 
     def sync(self) -> None:
-        """`flush`, and wait until the disk has it all: losing power loses nothing of it."""
+        """`flush`, and wait until the disk has it all: losing power loses nothing of it.
+
+        Raises OSError, also where the file has been deleted.
+        """
         self.flush()
         files.sync(self._stream)
+        if not os.fstat(self._stream.fileno()).st_nlink:
+            raise FileNotFoundError(errno.ENOENT, "it was deleted while it was written")
 
     def close(self) -> None:
         """Write the file's end and close it."""
         self._writer.finish()
         self._stream.flush()
-        files.sync(self._stream)
+        self.sync()
         self._stream.close()
 
     def abandon(self) -> None:
@@ -361,14 +367,14 @@ def read(file: str | os.PathLike[str]) -> Recorded:
     """
     used = _in_use(File(file))  # before its bytes are read, as it may be closed in between
     try:
-        return parse(File(file).read_bytes(), used)
+        return parse(files.read_bytes(file), used)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
 
 
 def _in_use(file: File) -> bool:
     """Is somebody writing that file?"""
-    with file.open("rb") as stream:
+    with files.opened(file) as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -455,10 +461,28 @@ def _messages(records: bytes) -> list[Message]:
             channel, number, when, _ = _MESSAGE.unpack_from(records, at)
             data = records[at + _MESSAGE.size : end]
             values = {key: _value(value) for key, value in json.loads(data.decode()).items()}
-            values["t"] + 0.0  # every message has one
+            _check(TOPICS[channel - 1], values)
             messages.append(Message(TOPICS[channel - 1], values, number, when, data))
         at = end
     return messages
+
+
+_MADE: dict[str, Any] = EVENTS | {"/car": protocol.Snapshot}
+_HINTS = {topic: get_type_hints(kind) for topic, kind in _MADE.items()}
+
+
+def _check(topic: str, values: dict[str, Any]) -> None:
+    """Raise one of the errors that `_chunk` expects for a message that is none of ours."""
+    values["t"] + 0.0  # every one has a t
+    if topic == DESCRIPTION:
+        "".join(values["texts"].values())
+    for value, kind in zip(_MADE[topic](**values), _HINTS[topic].values()) if topic in _MADE else ():
+        if kind in (bytes, Mode):
+            bytes.fromhex(value) if kind is bytes else Mode(value)
+        elif kind is float:
+            value + 0.0
+        elif type(value) is not kind or (kind is int and abs(value) >= 1 << 63):
+            raise TypeError
 
 
 def _value(value: Any) -> Any:
@@ -478,7 +502,7 @@ def config_of(recorded: Recorded) -> CarConfig:
     """
     texts = {k.removeprefix("file:"): text for k, text in recorded.metadata.items() if k.startswith("file:")}
     require("config.toml" in texts, "the recording", "its description is damaged or has no configuration: no replay")
-    return Reading("the recording", tomllib.loads(texts["config.toml"]), texts).config({})
+    return Reading("the recording", files.toml_of(texts["config.toml"], "the recording"), texts).config({})
 
 
 def repair(
@@ -509,7 +533,7 @@ def repair(
 
 def replayed_exactly(recorded: Recorded, core: Core) -> tuple[int, int]:
     """(frames sent in the recording, how many of them `core`, new, sends bit for bit at the same moment)."""
-    before = [(v["t"], v["frame_id"], v["data"]) for v in recorded.of("/can/tx")]
+    before = [(v["t"], v.get("frame_id"), v.get("data")) for v in recorded.of("/can/tx")]
     answers = ((event.t, out) for event in recorded.events() for out in core.handle(event))
     after = [(t, out.frame_id, out.data.hex()) for t, out in answers if isinstance(out, Send)]
     same = sum(a == b for a, b in zip(before, after))

@@ -7,12 +7,16 @@ too, as long as its run directory keeps them.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
+from steerkit._support.errors import known
+from steerkit._support.files import read_bytes
+from steerkit._support.plugins import is_outside, named_in
 from steerkit.car import loop as loops
 from steerkit.car.client import CarLost, ReplayLink
 from steerkit.car.config import CarConfig
@@ -25,6 +29,7 @@ from steerkit.controllers.fail_safe import LATE
 from steerkit.diagram import realtime
 from steerkit.diagram.loop import Loop
 from steerkit.paths.path import Path
+from steerkit.scenario.catalogue import CONTROLLERS
 
 
 @dataclass
@@ -95,11 +100,13 @@ def _message(data: str) -> object:
 class Nets:
     """The loops of those who steered, each made once.
 
-    run: directory of the learning run, should it have moved since; "" takes the recorded one.
+    run: directory of the learning run, should it have moved since; "" takes the recorded one. named: were they named by
+    the user, not by the recording, which is data? Of the latter only a user's own code is run that the user has named
+    too (`steerkit --code`), and which still is what drove.
     """
 
-    def __init__(self, config: CarConfig, path: Path, link: ReplayLink, run: str = ""):
-        self.config, self.path, self.link, self.run = config, path, link, run
+    def __init__(self, config: CarConfig, path: Path, link: ReplayLink, run: str = "", *, named: bool = False):
+        self.config, self.path, self.link, self.run, self.named = config, path, link, run, named
         self.late = False
         """Is the safety filter late in this sample, as it was in the drive?"""
         self._seconds = 0.0
@@ -117,17 +124,23 @@ class Nets:
             self._known[key] = Follow.of(self._loop(steers), self.link)
         return self._known[key]
 
-    def _loop(self, steers: Steers) -> Loop:
+    def _controller(self, steers: Steers) -> loops.Controller:
         if not steers.sha256:
-            controller = loops.controller_named(steers.name, self.config, in_time=True)
-        else:
-            file = FilePath(steers.name)
-            file = FilePath(self.run) / "nets" / file.name if self.run else file
-            if not file.is_file():
-                raise ValueError(f"{file}: the net that drove is gone; name its run's directory with --run")
-            if hashlib.sha256(file.read_bytes()).hexdigest() != steers.sha256:
-                raise ValueError(f"{file} is not the net that drove: its SHA-256 differs from the recorded one")
-            controller = loops.policy_in(file, steers.doe, self.config)
+            if not (self.named or is_outside(steers.name)):
+                known(steers.name.partition("+")[0], CONTROLLERS, "the recording: controller")
+            return loops.controller_named(steers.name, self.config, in_time=True)
+        file = FilePath(steers.name)
+        file = FilePath(self.run) / "nets" / file.name if self.run else file
+        if not file.is_file():
+            raise ValueError(f"{file}: the net that drove is gone; name its run's directory with --run")
+        if hashlib.sha256(read_bytes(file)).hexdigest() != steers.sha256:
+            raise ValueError(f"{file} is not the net that drove: its SHA-256 differs from the recorded one")
+        return loops.policy_in(file, steers.doe, self.config)
+
+    def _loop(self, steers: Steers) -> Loop:
+        code = {name.rpartition(":")[0]: steers.code for name in (steers.name, steers.doe)}
+        with contextlib.nullcontext() if self.named else named_in("the recording", code, loaded=False):
+            controller = self._controller(steers)
         how: dict[str, Any] = {"doe": controller.element, "recovery": steers.recovery, "safe": steers.safe}
         return loops.car_loop(self.config, self.path, self.link, controller.block, **how, clock=self.clock)
 
@@ -143,7 +156,7 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
     """
     begin = max(0, drive.first - 2)  # the last snapshot before that of the first request began the loop
     link = ReplayLink(drive.snapshots[begin:])
-    nets = Nets(config, path, link, run)
+    nets = Nets(config, path, link, run, named=bool(controller))
     remarks = [(0, Steers(name=controller))] if controller else [(n - begin, s) for n, s in drive.remarks]
     if not remarks:
         raise ValueError("the recording does not name who steered; say it with --controller")

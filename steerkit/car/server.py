@@ -21,7 +21,7 @@ from steerkit._support.clock import Clock
 from steerkit.car import protocol
 from steerkit.car.config import CarConfig
 from steerkit.car.core import Core, End, Event, Frame, Link, Note, Packet, RecordingFault, Reply, Send, Tick
-from steerkit.car.ports import open_bus, python_can
+from steerkit.car.ports import lost, open_bus, python_can
 from steerkit.car.recording import Recording
 from steerkit.paths.path import Path
 
@@ -71,6 +71,8 @@ class CarServer:
         os.set_blocking(self._wake, False)
         self._bus = _open(config.bus, config.listen_only)
         threading.Thread(target=self._listen_to_bus, name="bus", daemon=True).start()
+        if recording is None:
+            self._handle(RecordingFault(self.clock.now(), "the car server has no --recording"))
 
     def run(self) -> None:
         """Serve until `stop`, a signal, `linger`, or an error of the bus; then the kit gets neutral frames."""
@@ -138,7 +140,7 @@ class CarServer:
             self.stop(f"no client for {self.linger:g} s")
 
     def _handle(self, event: Event) -> None:
-        outputs, lost = self.core.handle(event), None
+        outputs, broken = self.core.handle(event), None
         for out in outputs:
             match out:
                 case Send():
@@ -148,7 +150,7 @@ class CarServer:
                         if isinstance(event, End) or self.core.ended:
                             _log.error("a neutral frame could not be sent: %s", error)
                         else:
-                            lost = lost or error
+                            broken = broken or error
                 case Reply():
                     with contextlib.suppress(OSError, KeyError):  # it hung up, or does not read: its loss
                         self._clients[out.link].send(out.data)
@@ -158,8 +160,8 @@ class CarServer:
                     _log.warning("%s refused: %s", v["order"], v["why"])
         if self.recording:
             self.recording.event(event, outputs)
-        if lost:
-            raise lost
+        if broken:
+            raise lost(broken) from broken
 
     def _look_at_recording(self) -> None:
         """A recording that stops, or goes on, is reported at once: in the log, and to the core."""
@@ -242,7 +244,7 @@ class CarServer:
                         continue
             if isinstance(message, Exception):
                 if not self.stopping:
-                    self._put(message)
+                    self._put(lost(message))
                 return
             if message is None or message.is_error_frame or message.is_remote_frame:
                 continue
@@ -276,7 +278,7 @@ def _open(arguments: dict[str, Any], listen_only: bool) -> Any:
 
 def _locked(options: dict[str, Any]) -> int | None:
     """A lock on the adapter's serial device: two processes on one would each read half of the frames."""
-    channel = str(options.get("channel", ""))
+    channel = str(options.get("channel", "")).partition("@")[0]
     if options.get("interface") != "slcan" or not os.path.exists(channel):
         return None
     device = os.open(channel, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)

@@ -19,7 +19,8 @@ from pathlib import Path as FilePath
 from typing import Any, TextIO
 
 from steerkit._support.clock import Clock
-from steerkit._support.errors import known
+from steerkit._support.errors import known, require
+from steerkit._support.files import read_bytes
 from steerkit.car import loop as loops
 from steerkit.car import processes
 from steerkit.car.client import CarClient, CarLost
@@ -140,7 +141,8 @@ def session(options: Options) -> Iterator[Session]:
                 process.terminate()
                 process.wait(20.0)  # it may have to write the end of its recording
         if here.recording and started[0].returncode == 1:
-            here.broken = f"the car server ended badly: {processes.last_line(log)}"
+            said = processes.last_line(log) or f"{here.recording} and its log are gone"
+            here.broken = f"the car server ended badly: {said}"
 
 
 @contextlib.contextmanager
@@ -181,6 +183,9 @@ def _new_recording(recording: str) -> FilePath:
     place = FilePath(recording) if recording else next(free)
     if place.exists():
         raise ValueError(f"--recording {place} exists already, and recordings are not overwritten; choose another name")
+    log = place.with_suffix(".log")
+    own = log != place and (not log.exists() or read_bytes(log)[: len(OF)] in (b"", OF.encode()))
+    require(own, f"--recording {place}", f"its log would be {log}, which is something else; choose another name")
     place.parent.mkdir(parents=True, exist_ok=True)
     return place
 
@@ -246,7 +251,7 @@ def finished(here: Session, run: Run) -> dict[str, Any]:
     print(", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
     if not here.options.quiet:
         print("\n".join(here.watched.report()))
-    print(f"recording {here.recording}" if here.recording else "recorded by the car server that was there")
+    print(f"recording {here.recording}" if here.recording else "recorded, if at all, by the car server that was there")
     if here.broken:
         raise OSError(here.broken)
     return {**figures, "recording": here.recording}

@@ -89,8 +89,17 @@ def options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    code: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FILE.py", help="Your own code that files may name, or a module; else none of it is run."),
+    ] = None,
 ) -> None:
     """What goes before the command."""
+    if code:
+        from steerkit._support.plugins import mine
+
+        for name in code:
+            mine(name)
 
 
 @functools.cache

@@ -207,7 +207,7 @@ def replay(
         except FileExistsError as error:
             print(f"not repaired: {error}")
     for v in recorded.of("/state"):
-        print(f"  {v['t']:.3f} s  {v['from']} -> {v['to']}: {v['cause']}")
+        print(f"  {v['t']:.3f} s  {v.get('from')} -> {v.get('to')}: {v.get('cause')}")
     config = recordings.config_of(recorded)
     path = course_of(config)
     for difference in recordings.differences(recorded, config, path):

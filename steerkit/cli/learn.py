@@ -13,6 +13,7 @@ import typer
 from steerkit._support.console import console
 from steerkit._support.errors import require
 from steerkit._support.files import read_toml
+from steerkit._support.plugins import is_outside, mine, named_in
 from steerkit.car import loop as loops
 from steerkit.car import session as car_session
 from steerkit.cli.options import (
@@ -112,10 +113,13 @@ def _learned(experiment: Experiment, place: Path, *, quiet: bool, live: bool, ea
 def _experiment(ctx: typer.Context, config: Path | None, out: Path | None) -> Experiment:
     """The experiment of the run in `out`, of the file, or of the defaults, changed by the options that are given."""
     base: Experiment | None = None
+    for change in filter(is_outside, ctx.params["changes"] or ()):
+        mine(change.partition("=")[2])
     if out is not None and (out / "run.json").is_file():
         base = rundir.experiment_of(out)
     if config is not None:
-        base = rundir.from_plain(read_toml(config, f"--config {config}"), str(config), Experiment)
+        with named_in(f"{config}"):
+            base = rundir.from_plain(read_toml(config, f"--config {config}"), str(config), Experiment)
     names, p = given(ctx), ctx.params
     scenario = scenario_of(ctx) if base is None else scenario_of(ctx, base.scenario)
     if base is None or "setting" in names:

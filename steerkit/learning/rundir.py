@@ -23,8 +23,8 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit._support.errors import require
-from steerkit._support.files import write_text
-from steerkit._support.plugins import imported, is_outside, name_of
+from steerkit._support.files import read_bytes, write_text
+from steerkit._support.plugins import fingerprints, imported, is_outside, name_of, named_in
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log, joined
 from steerkit.learning import costs
@@ -119,10 +119,9 @@ def plain(value: Any) -> Any:
 
 def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     """What `plain` was given; missing fields take their defaults. Raises ValueError naming an unknown key."""
-    if isinstance(data, list):
-        return tuple(data)
     if not isinstance(data, dict):
-        return data
+        require(default is None, where, f"{data!r:.50}, expected a table")
+        return tuple(data) if isinstance(data, list) else data
     name = str(data.get("kind", default.__name__ if default else None))
     if name == "Scenario":
         return of_table(data, where)
@@ -131,12 +130,27 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
         raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(KINDS)}, package.module:Class")
     if issubclass(kind, Scenario):
         return of_table(data, where, kind)
+    require(default is None or default is costs.TanhCost or issubclass(kind, default), where, f"is a {name}")
     inside = {"setting": Setting, "scenario": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
     valid = [f.name for f in fields(kind)]
     for key in data:
         if key != "kind" and key not in valid:
             raise ValueError(f"{where}: {name} has no field '{key}'; valid: {', '.join(valid)}")
-    return kind(**{k: from_plain(v, f"{where}.{k}", inside.get(k)) for k, v in data.items() if k != "kind"})
+    values = {k: from_plain(v, f"{where}.{k}", inside.get(k)) for k, v in data.items() if k != "kind"}
+    for f in fields(kind):
+        value = values.get(f.name, f.default)
+        numbers = not isinstance(value, tuple) or all(isinstance(one, (float, int)) for one in value)
+        types, expected = _PLAIN.get(str(f.type), (object, "numbers"))
+        ok = f.name not in values or (isinstance(value, types) and numbers)
+        require(ok, where, f"{f.name} = {value!r:.50}, expected {expected}")
+    try:
+        return kind(**values)
+    except TypeError as error:
+        raise ValueError(f"{where}: {error}") from error
+
+
+_PLAIN: dict[str, Any] = {"float": ((float, int), "a number"), "int": (int, "a whole number"), "str": (str, "a text")}
+_PLAIN |= {"bool": (bool, "true or false"), "tuple[float, ...]": (tuple, "numbers")}
 
 
 def _own_kind(name: str, where: str) -> type:
@@ -173,7 +187,8 @@ def save(run: LearningRun, place: FilePath) -> None:
     run.recorder.clear()
     document = {
         "format": FORMAT,
-        "experiment": plain(run.experiment),
+        "experiment": (experiment := plain(run.experiment)),
+        "code": fingerprints(experiment),
         "checkpoint": number,
         "counts": asdict(run.counts),
         "pending": pending[0] if pending else None,
@@ -192,8 +207,8 @@ def document(place: FilePath, name: str = "run.json", form: str = FORMAT, keys: 
     if not file.exists():
         raise ValueError(f"{place} is no run directory: it has no {name}; make one with `steerkit learn`")
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
+        data = json.loads(read_bytes(file))
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{file} is truncated or no JSON ({error}); the run cannot be read") from error
     if not isinstance(data, dict) or data.get("format") != form:
         raise ValueError(f"{file}: format {data.get('format') if isinstance(data, dict) else None!r}, not {form!r}")
@@ -226,7 +241,7 @@ def resumed(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
 
 def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     number = data["checkpoint"]
-    run = LearningRun(from_plain(data["experiment"], "run.json"))
+    run = LearningRun(_experiment(place, data))
     learner_state = run.learner_state
     learner_state.counts = _counts(place, data["counts"])
     state = run.loop.load_state(_existing(place / f"state-{number}.npz"))
@@ -265,7 +280,12 @@ def drive_log(place: FilePath, *, until: float = math.inf) -> Log:
 
 def experiment_of(place: FilePath) -> Experiment:
     """The experiment that a run directory holds."""
-    return from_plain(document(place)["experiment"], "run.json")
+    return _experiment(place, document(place))
+
+
+def _experiment(place: FilePath, data: dict[str, Any]) -> Experiment:
+    with named_in(f"{place}/run.json", data.get("code")):
+        return from_plain(data["experiment"], "run.json", Experiment)
 
 
 def final_policy(place: FilePath, updates: int | None = None) -> NfqPolicy:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import known, optional, require
-from steerkit._support.files import Bounded
+from steerkit._support.files import LARGEST_TEXT, Bounded, opened
 from steerkit.car.ports import python_can
 from steerkit.logs.channels import Table
 
@@ -150,12 +150,13 @@ def database(name: str) -> Any:
     cantools = optional("cantools", f"--dbc {name}: a DBC", "logs")
     try:
         if name.endswith(".dbc") or Path(name).exists():
+            opened(name, LARGEST_TEXT).close()
             return cantools.database.load_file(name, strict=False)
         text = _opendbc(name)
         return cantools.database.load_string(text, "dbc", strict=False)
     except OSError as error:
         raise ValueError(f"--dbc {name}: cannot be read ({error.strerror})") from error
-    except (cantools.database.Error, cantools.database.UnsupportedDatabaseFormatError, UnicodeDecodeError) as error:
+    except Exception as error:  # whatever the parser makes of what is no DBC
         raise ValueError(f"--dbc {name}: no DBC ({' '.join(str(error).split())[:200]})") from error
 
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steerkit._support.errors import require
+from steerkit._support.files import LARGEST, opened
 from steerkit.logs import can_frames, ros, tables
 from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, candidates, is_time, unit_of
 from steerkit.logs.drive import ODD, Drive, aligned, in_metres, in_order, odd_values
@@ -284,7 +285,7 @@ def _digest(path: Path) -> str:
     try:
         if path.is_dir():
             return _of_all([_digest(file) for file in sorted(path.iterdir()) if file.is_file()])
-        with path.open("rb") as stream:
+        with opened(path, 64 * LARGEST) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise ValueError(f"{path}: cannot be read ({error.strerror})") from error

@@ -14,6 +14,7 @@ import numpy as np
 
 from steerkit._support.errors import known, require, require_within
 from steerkit._support.files import read_toml
+from steerkit._support.plugins import named_in
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
 from steerkit.paths.importers.course import check_bends
@@ -296,7 +297,8 @@ def read_scenario(file: str | FilePath) -> Scenario:
             name = given[part.file]
             if isinstance(name, str) and (name.endswith((".csv", ".toml")) or (key == "course" and is_road(name))):
                 given[part.file] = str(place.parent / name)
-    return of_table(table, f"{file}")
+    with named_in(f"{file}"):
+        return of_table(table, f"{file}")
 
 
 def write_scenario(scenario: Scenario, file: str | FilePath) -> None:

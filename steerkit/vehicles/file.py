@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from steerkit._support.errors import require
-from steerkit._support.files import read_text
+from steerkit._support.files import read_text, toml_of
 from steerkit.vehicles.parameters import Vehicle
 
 FORMAT = "steerkit vehicle 1"
@@ -28,6 +27,8 @@ def vehicle_of(text: str, where: str) -> Vehicle:
     needed = {f.name for f in dataclasses.fields(Vehicle) if f.default is dataclasses.MISSING}
     for verb, keys in (("lacks", needed - table.keys()), ("has the unknown key", table.keys() - valid)):
         require(not keys, where, f"[vehicle] {verb} {', '.join(sorted(keys))}; it holds {', '.join(sorted(valid))}")
+    odd = [key for key, value in table.items() if key != "name" and type(value) not in (int, float)]
+    require(not odd, where, f"[vehicle] {', '.join(odd)}, expected numbers")
     try:
         return Vehicle(**table)
     except (ValueError, TypeError) as error:
@@ -72,10 +73,7 @@ def table_of(text: str, name: str, where: str) -> dict[str, Any]:
 
 def tables_of(text: str, where: str) -> dict[str, Any]:
     """All that is in the text of a vehicle file; raises ValueError for another format."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"{where}: not TOML ({error})") from error
+    data = toml_of(text, where)
     written = data.get("format")
     require(written == FORMAT, where, f"format = {written!r}, expected {FORMAT!r}: a file of `steerkit identify`")
     return data

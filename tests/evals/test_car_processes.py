@@ -160,7 +160,7 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
 
 
 def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match=r"bus interface = 'nope', channel = 'x': cannot be opened \(Unknown interface"):
+    with pytest.raises(OSError, match=r"bus interface = 'nope', channel = 'x': cannot be opened \(.* is not known"):
         open_bus({"interface": "nope", "channel": "x"})
     with (tmp_path / "server.log").open("w") as log, pytest.raises(CarLost, match=r"/dev/nowhere.*server\.log"):
         processes.start_car_server(CONFIG, str(tmp_path / "socket"), channel="/dev/nowhere", log=log)
@@ -255,3 +255,7 @@ def test_drives_that_begin_in_one_second_have_recordings_of_their_own(
         ValueError, match=r"car-20261125-000748\.mcap exists already, and recordings are not overwritten"
     ):
         sessions._new_recording("runs/car-20261125-000748.mcap")
+    Path("lap.log").write_text("(1.0) can0 064#00")
+    for name in ("lap.mcap", "new.log"):
+        with pytest.raises(ValueError, match=r"its log would be \w+\.log, which is something else"):
+            sessions._new_recording(name)

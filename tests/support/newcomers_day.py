@@ -30,7 +30,7 @@ PATIENCE = 120.0
 Run = Callable[..., subprocess.CompletedProcess[str]]
 CAR = "--course yard.csv --vehicle mine.toml"
 LEARN = f"learn {CAR} --setting model-free --with doe=my_parts.py:Geared --with fit.nets=2 --minutes 1.4 --seed 1"
-COMPARE = f"drive stanley mpc runs/a my_file.py:make {CAR} --rounds 0.3"
+COMPARE = f"--code my_parts.py drive stanley mpc runs/a my_file.py:make {CAR} --rounds 0.3"
 OWN = "my_file.py:make"
 
 
@@ -198,10 +198,13 @@ DAY = (
     Command(line=f"{LEARN} --out runs/a --json", shows=_interrupted, stop=signal.SIGINT, code=130),
     Command(line=f"{LEARN} --out runs/a --json", shows=_killed, stop=signal.SIGKILL, code=-9),
     Command(line=f"{LEARN} --out runs/a --json", shows=_went_on),
-    Command(line="learn --out runs/a --minutes +0.1 -q --json", shows=_learned_longer),
+    Command(line="--code my_parts.py learn --out runs/a --minutes +0.1 -q --json", shows=_learned_longer),
     Command(line=f"{COMPARE} --out compared --json", shows=_compared),
-    Command(line=f"drive runs/a {CAR} --rounds 0.05 --animate film.gif --out filmed --json", shows=_filmed),
-    Command(line="export runs/a --onnx policy.onnx --json", shows=_exported),
+    Command(
+        line=f"--code my_parts.py drive runs/a {CAR} --rounds 0.05 --animate film.gif --out filmed --json",
+        shows=_filmed,
+    ),
+    Command(line="--code my_parts.py export runs/a --onnx policy.onnx --json", shows=_exported),
     Command(line="bench run golden --only stanley-textbook --seeds 1 -j 1 --out kept -q --json", shows=_kept),
     Command(
         line=f"bench run golden --controller {OWN} --only my_file --seeds 1 -j 1 --out kept -q --json", shows=_beside

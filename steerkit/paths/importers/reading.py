@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import known, require
+from steerkit._support.files import opened
 from steerkit.paths.importers import lanelets, tracks
 from steerkit.paths.importers.course import TIGHTEST, Course, Line, laid
 from steerkit.paths.importers.network import Map, Piece
@@ -104,7 +105,7 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
     found = contents(where.file)
     line, closed_route, remarks = chosen(found, where, closed)
     source = found.source(where.choice)
-    with FilePath(where.file).open("rb") as stream:
+    with opened(where.file) as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()[:16]
     file = FilePath(where.file)
     notes = [f"read {file.name} ({KINDS[file.suffix.lower()]}), sha256 {digest}: {remarks[0]}", *remarks[1:]]

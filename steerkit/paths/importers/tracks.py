@@ -6,14 +6,13 @@ import math
 from array import array
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
-from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit._support.files import read_text
+from steerkit._support.files import opened, read_text
 from steerkit.paths.importers.course import Line, distinct
 from steerkit.paths.importers.xml_stream import number, records, value
 from steerkit.paths.waypoints import (
@@ -118,7 +117,7 @@ def geojson(file: str) -> list[Track]:
         raise ValueError(f"{file}: maps and tracks need a package: pip install 'steerkit-control[roads]'") from None
     kind, crs, tracks = "", "CRS84", list[Track]()
     try:
-        with FilePath(file).open("rb") as stream:
+        with opened(file) as stream:
             for prefix, _, found in ijson.parse(_shallow(ijson.basic_parse(stream, use_float=True, buf_size=_CHUNK))):
                 kind = found if prefix == "type" else kind
                 crs = found if prefix == "crs.properties.name" else crs

@@ -8,6 +8,7 @@ from pathlib import Path as FilePath
 from xml.etree.ElementTree import Element, ParseError
 
 from steerkit._support.errors import require
+from steerkit._support.files import opened
 
 _DEEPEST = 100
 
@@ -84,7 +85,7 @@ def _events(file: str | FilePath) -> Iterator[tuple[str, Element]]:
     except ImportError:
         raise ValueError(f"{file}: maps and tracks need a package: pip install 'steerkit-control[roads]'") from None
     try:
-        with FilePath(file).open("rb") as stream:
+        with opened(file) as stream:
             for event, node in iterparse(stream, ("start", "end")):
                 node.tag = node.tag.rpartition("}")[2]
                 yield event, node

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from steerkit.car.config import LIMITS, ConfigError, bus_of, course_of, load, loaded, shipped
+from steerkit.car.ports import open_bus
 from steerkit.car.senses import Senses
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.paths.courses import course
@@ -101,6 +102,21 @@ MISTAKES = [
     ("did you mean 'faults'", "[read.faults] -> [read.fault]"),
     ("delta_sw_max_deg = 520 is more than SCMD", "(0.1,0) [-3276.7|3276.7] -> (0.1,0) [-400|400]"),
     ("steps of 5 deg", "SG_ SCMD : 0|16@1- (0.1,0) -> SG_ SCMD : 0|16@1- (5,0)"),
+    ("CMD_TYPE = 1, expected 0, or a value that the DBC", "fixed = { SVEL = 0 } -> fixed = { CMD_TYPE = 1 }"),
+    ("scales from 1e-12 to 1e+09, offsets up to 1e+09", 'signal = "QUALITY" } -> signal = "QUALITY", scale = 1e308 }'),
+    (
+        "scales from 1e-12 to 1e+09, offsets up to 1e+09",
+        'signal = "QUALITY" } -> signal = "QUALITY", offset = -1e308 }',
+    ),
+    (", offset 0 in the DBC, expected scales from", "SG_ QUALITY : 48|4@1+ (1,0) -> SG_ QUALITY : 48|4@1+ (1E308,0)"),
+    ("[read.v] V: steps of 1 [SI], expected at most 0.5", 'signal = "V" } -> signal = "V", scale = 1000 }'),
+    ("[read.x] X: steps of 2 [SI], expected at most 1", "SG_ X : 0|24@1- (0.001,0) -> SG_ X : 0|24@1- (2,0)"),
+    ("[files] dbc: pose.dbc: ", 'BU_: INS PC -> {"no": "DBC"} BO_'),
+    ("[files] dbc: /dev/zero: /dev/zero: is a device or a pipe", '"pose.dbc"] -> "/dev/zero"]'),
+    ("/dev/zero: is a device or a pipe", 'name = "paper" -> file = "/dev/zero"\nclosed = true'),
+    ("[bus] channel 'spy://x/ttyACM0': expected a serial device", 'channel = "/dev -> channel = "spy://x'),
+    ("options: channel = 'spy://x', expected", 'options = {} -> options = { channel = "spy://x" }'),
+    ("options: can_filters = [], expected", "options = {} -> options = { can_filters = [] }"),
     ("IGNORE = 1, expected 0", "fixed = { SVEL = 0 } -> fixed = { SVEL = 0, IGNORE = 1 }"),
     ("EN is written by [write] already", "fixed = { SVEL = 0 } -> fixed = { EN = 1 }"),
     ("more than one bit", 'enable = "EN" -> enable = "SVEL"'),
@@ -237,6 +253,24 @@ SLCAN = {"interface": "slcan", "bitrate": 500000, "sleep_after_open": 0.0}
 )
 def test_a_channel_is_a_bus(channel: str, bus: Any) -> None:
     assert bus_of(channel) == bus
+
+
+@pytest.mark.parametrize(
+    "channel",
+    [
+        *("spy:///dev/ttyS0?file={}", "SPY://loop://?file={}&all", "slcan:spy://loop://?file={}", "alt://{}?class=X"),
+        *("socket://127.0.0.1:7?file={}", "cantact:{}", "serial:spy://loop://?file={}", "mcp23:{}"),
+    ],
+)
+def test_a_channel_that_is_no_bus_of_the_guide_is_refused_before_it_is_opened(tmp_path: Path, channel: str) -> None:
+    (tmp_path / "mine").write_text("kept")
+    channel = channel.format(tmp_path / "mine")
+    with pytest.raises(ValueError, match=r"^\[bus\] "):
+        bus_of(channel)
+    interface, _, place = channel.rpartition(":" if channel.startswith(("slcan:", "serial:")) else "no such")
+    with pytest.raises(OSError, match="cannot be opened"):
+        open_bus({"interface": interface.split(":")[0] or "slcan", "channel": place})
+    assert (tmp_path / "mine").read_text() == "kept"
 
 
 def test_the_file_s_bus_is_taken_unless_a_channel_is_given() -> None:

@@ -17,6 +17,8 @@ from steerkit.logs import foxglove
 class Line:
     """A line to a car server that goes through some states, and then stays or is lost."""
 
+    text = "why"
+
     def __init__(self, modes: list[Mode], lost: bool):
         self.modes, self.lost, self.refused = modes, lost, list[str]()
         self.beats, self.orders = 0, list[Order]()
@@ -36,7 +38,7 @@ class Line:
     def query(self) -> Snapshot:
         if len(self.modes) == 1 and self.lost:
             raise CarLost("the car server has ended")
-        return Snapshot(t=0.0, mode=self.modes.pop(0) if len(self.modes) > 1 else self.modes[0], text="why")
+        return Snapshot(t=0.0, mode=self.modes.pop(0) if len(self.modes) > 1 else self.modes[0], text=self.text)
 
 
 def shown(
@@ -59,6 +61,15 @@ def shown(
     assert session.ending
     assert line.orders[-1] is Order.DISENGAGE
     return line, len(rings)
+
+
+@pytest.mark.parametrize("says", ["not recorded: the disk is full", "recording: the disk is full"])
+def test_a_recording_that_is_lost_is_told_without_a_live_panel_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], says: str
+) -> None:
+    monkeypatch.setattr(Line, "text", f"why\nspeed 9 m/s\n{says}", raising=False)
+    shown(monkeypatch, Mode.READY, Mode.STANDBY, Mode.STANDBY, Mode.READY)
+    assert capsys.readouterr().err.splitlines() == [says]
 
 
 @pytest.mark.parametrize("after", [Mode.STANDBY, Mode.READY, Mode.OVERRIDE, Mode.FAULT, Mode.OFF])

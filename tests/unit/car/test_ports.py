@@ -5,10 +5,11 @@ import subprocess
 import sys
 import time
 import tty
+from pathlib import Path
 
 import pytest
 
-from steerkit.car.ports import SlcanPort
+from steerkit.car.ports import SlcanPort, open_bus
 
 
 def test_it_does_not_load_asammdf_which_stays_there_for_who_asks_for_it() -> None:
@@ -60,3 +61,10 @@ def test_frames_as_text_in_both_directions() -> None:
 def test_no_port_on_a_network() -> None:
     with pytest.raises(ValueError, match=r"only 127\.0\.0\.1"):
         SlcanPort("0.0.0.0:0")
+
+
+def test_nothing_is_read_from_python_cans_own_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "can.conf").write_text("[default]\nreceive_own_messages = True\n")
+    monkeypatch.setenv("HOME", f"{tmp_path}")
+    with open_bus({"interface": "virtual", "channel": f"{tmp_path}"}) as bus:
+        assert bus.receive_own_messages is False

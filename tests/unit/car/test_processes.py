@@ -17,7 +17,7 @@ KIT = "dbw-kit.toml"
 @pytest.mark.parametrize("command", ["server", "simulate"])
 def test_a_process_of_the_car_imports_no_learner(command: str) -> None:
     """Nor a command line: it is up sooner, and what is not there cannot fail. The bus is refused, after all imports."""
-    words = [command, json.dumps({"config": KIT, "channel": "nowhere:x"})]
+    words = [command, json.dumps({"config": KIT, "channel": "socketcan:none"})]
     code = f"import sys\nfrom steerkit.car.processes import main\ntry: main({words!r})\n"
     code += "except BaseException as error: print(error, file=sys.stderr)\nprint(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)
@@ -35,7 +35,7 @@ def test_a_process_of_the_car_imports_no_learner(command: str) -> None:
             {"config": "mine.toml"},
             "mine.toml: no such file, beside the configuration or shipped; shipped: dbw-kit.toml, dbw_steering",
         ),
-        ({"config": KIT, "channel": "nowhere:x"}, "bus interface = 'nowhere'"),
+        ({"config": KIT, "channel": "nowhere:x"}, "[bus] interface 'nowhere' is not known; valid: slcan, socketcan, "),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import random
+import shutil
 import struct
 import threading
 import time
@@ -384,6 +385,17 @@ def test_a_full_disk_is_told_and_what_was_there_stays_readable(tmp_path: Path) -
     recorded = recordings.read(tmp_path / "t.mcap")
     assert recorded.lost
     assert [m.values["t"] for m in recorded.messages] == [0.01 * n for n in range(1, len(recorded.messages) + 1)]
+
+
+@pytest.mark.parametrize("at_its_end", [False, True])
+def test_a_recording_that_is_deleted_while_it_is_written_is_told(tmp_path: Path, at_its_end: bool) -> None:
+    (tmp_path / "runs").mkdir()
+    recorder = recordings.Recording(tmp_path / "runs" / "t.mcap", {})
+    shutil.rmtree(tmp_path / "runs")
+    if not at_its_end:
+        until(lambda: recorder.failed)
+    recorder.close()
+    assert recorder.failed.endswith("t.mcap: [Errno 2] it was deleted while it was written")
 
 
 def test_a_recording_that_cannot_even_begin_raises(tmp_path: Path) -> None:

@@ -145,7 +145,10 @@ def test_noise_is_no_recording(noise: bytes, head: int, tail: bool) -> None:
 
 def test_a_good_sum_of_what_is_none_of_ours_is_left_out() -> None:
     deep, long = b'{"t":' + b"[" * 5000, b'{"t":1' + b"0" * 400 + b"}"
-    for text in (b"[1]", b"nonsense", b'{"t":"x"}', b'{"t":"1.5"}', b'{"u":1}', b"\xff", deep, long):
+    rx = {"t": 1.0, "arrived": 1.0, "frame_id": 101, "data": "00", "kind": ""}
+    odd = [{"frame_id": 1.0}, {"frame_id": 1 << 63}, {"data": "0"}, {"data": 5}, {"arrived": ""}, {"kind": 0}, {"x": 0}]
+    shapes = [json.dumps(rx | change).encode() for change in odd] + [b'{"t":1.0}']
+    for text in (*shapes, b"[1]", b"nonsense", b'{"t":"x"}', b'{"t":"1.5"}', b'{"u":1}', b"\xff", deep, long):
         record = struct.pack("<BQHIQQ", 5, 22 + len(text), 1, 0, 1, 1) + text
         head = struct.pack("<BQQQQIIQ", 6, 40 + len(record), 1, 1, len(record), zlib.crc32(record), 0, len(record))
         with pytest.raises(ValueError, match="no recording of steerkit"):
@@ -177,7 +180,7 @@ def test_lengths_that_lie_cost_neither_memory_nor_a_second_look_at_everything(mo
 def test_a_long_message_closes_its_chunk(tmp_path: Path) -> None:
     recorder = recordings.RecordingFile(tmp_path / "t.mcap", {}, 1)
     for k in range(3):
-        recorder.add("/tick", k, json.dumps({"t": k, "x": "x" * recordings.CHUNK}).encode())
+        recorder.add("/state", k, json.dumps({"t": k, "x": "x" * recordings.CHUNK}).encode())
     recorder.close()
     assert [len(chunk.messages) for chunk in chunks_of((tmp_path / "t.mcap").read_bytes())] == [1, 1, 1]
 

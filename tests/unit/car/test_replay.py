@@ -1,13 +1,25 @@
 """Recorded drives: taken apart by controller, and replayed."""
 
+import hashlib
+import json
 import math
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import pytest
+
+from steerkit._support import plugins
+from steerkit._support.plugins import fingerprint
 from steerkit.car import protocol
 from steerkit.car import replay as replays
-from steerkit.car.loop import Steers
+from steerkit.car.config import CarConfig
+from steerkit.car.loop import Steers, controller_named
 from steerkit.car.recording import Message, Recorded
+from steerkit.learning import rundir
 from tests.support.car_world import setup
+from tests.support.own_controller import TEXT
+from tests.support.places import ROOT
 
 CONFIG, COURSE = setup()
 
@@ -53,3 +65,50 @@ def test_a_request_that_is_no_number_is_the_same_when_it_is_none_again() -> None
     drive = replays.Drive(snapshots=seen, requests=[(s.t, math.nan) for s in seen[1:]], first=2)
     none_again = 3  # two without a report, and one more whose controller remembers none
     assert replays.replayed_requests(drive, CONFIG, COURSE, controller="stanley") == none_again
+
+
+def forged(folder: Path, **steers: Any) -> tuple[replays.Drive, CarConfig]:
+    """A recording's drive by `steers`, and its configuration, which allows just that; code that is run leaves `ran`."""
+    (folder / "mine.py").write_text(f"open({str(folder / 'ran')!r}, 'w')\n{TEXT}")
+    (folder / "net-0001.npz").write_bytes((ROOT / "tests/attack/policy.npz").read_bytes())
+    (folder / "run.json").write_text(json.dumps({"format": rundir.FORMAT, **{key: {} for key in rundir.KEYS}}))
+    place = {key: value.format(folder) for key, value in steers.items()}
+    if "sha256" in place:
+        place["sha256"] = hashlib.sha256((folder / "net-0001.npz").read_bytes()).hexdigest()
+    seen = [protocol.Snapshot(0.05 * k, 10.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.1) for k in range(6)]
+    drive = replays.Drive(seen, [(s.t, 0.0) for s in seen[1:]], [(0, Steers(**place))], 2)
+    return drive, replace(CONFIG, controllers=(place["name"], place.get("doe", "")))
+
+
+@pytest.mark.parametrize(
+    ("says", "steers"),
+    [
+        ("mine.py:make': the recording names it, and nothing that a file names is run", {"name": "{}/mine.py:make"}),
+        ("element '.*mine.py:make': the rec", {"name": "{}/net-0001.npz", "sha256": "", "doe": "{}/mine.py:make"}),
+        ("module_of_mine:make': the recording names it", {"name": "module_of_mine:make"}),
+        ("os:abort': the recording names it", {"name": "os:abort", "code": fingerprint("os:abort", "")}),
+        ("the recording: controller '/.*' is not known", {"name": "{}"}),
+        ("the recording: controller '/dev/zero' is not known", {"name": "/dev/zero"}),
+        ("zero: the net that drove is gone", {"name": "/dev/zero", "sha256": "0"}),
+    ],
+)  # fmt: skip
+def test_nothing_that_a_recording_names_is_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says: str, steers: dict[str, str]
+) -> None:
+    drive, config = forged(tmp_path, **steers)
+    (tmp_path / "module_of_mine.py").write_text((tmp_path / "mine.py").read_text())
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match=says):
+        replays.replayed_requests(drive, config, COURSE)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_own_code_is_run_again_if_its_user_names_it_and_it_is_what_drove(tmp_path: Path) -> None:
+    drive, config = forged(tmp_path, name="{}/mine.py:make")
+    name = config.controllers[0]
+    plugins.mine(name)
+    with pytest.raises(ValueError, match=r"mine.py has changed since the recording was written"):
+        replays.replayed_requests(drive, config, COURSE)
+    assert not (tmp_path / "ran").exists()
+    drive.remarks = [(0, controller_named(name, config).steers)]
+    assert replays.replayed_requests(drive, config, COURSE) == 0  # it runs, and asks for something else

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import can
 import pytest
 
 from steerkit.car import client as clients
@@ -59,6 +60,12 @@ def test_a_file_where_the_socket_should_be_is_left_alone(tmp_path: Path) -> None
     with pytest.raises(OSError, match="is a file, not a socket; it stays as it is: choose another --socket"):
         made(file)
     assert file.read_text() == "a thesis"
+
+
+def test_a_client_is_told_that_nothing_is_recorded(car_server: CarServer, tmp_path: Path) -> None:
+    told = answer(car_server, connected(car_server, tmp_path))
+    assert isinstance(told, protocol.Snapshot)
+    assert "not recorded: the car server has no --recording" in told.text.split("\n")
 
 
 def test_a_recording_that_stops_and_goes_on_is_said_once(
@@ -188,6 +195,11 @@ ENDS: dict[str, tuple[Callable[[CarServer], None], str, type[BaseException] | No
     "the bus is lost": (
         lambda it: it._frames.put(OSError("unplugged")),
         "the car server failed: OSError: unplugged",
+        OSError,
+    ),
+    "the adapter is unplugged": (
+        lambda it: vars(it._bus).update(received=[can.CanOperationError("no serial device")], broken=False),
+        "the car server failed: OSError: the bus is lost: no serial device",
         OSError,
     ),
     "a mistake in the program": (

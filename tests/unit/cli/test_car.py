@@ -47,7 +47,13 @@ def test_check_prints_what_is_read_and_written(run: Run) -> None:
         (("check", "mine.toml"), "shipped: dbw-kit.toml"),
         (("order", "GO"), "valid: ARM, ENGAGE, DISENGAGE, ACKNOWLEDGE, OFF"),
         (("order", "ENGAGE", "--socket", "/nowhere/socket"), "no car server answers there"),
-        (("replay", "/dev/null"), "no recording of steerkit"),
+        (("replay", __file__), "no recording of steerkit"),
+        (("replay", "/dev/zero"), "/dev/zero: is a device or a pipe, expected a file"),
+        (("check", "/dev/zero"), "/dev/zero: is a device or a pipe, expected a file"),
+        (
+            ("server", "--channel", "spy:///dev/ttyS0?file=X"),
+            "[bus] channel 'spy:///dev/ttyS0?file=X': expected a serial",
+        ),
         (("simulate", "--listen", "0.0.0.0:0"), "only 127.0.0.1"),
         (("simulate", "--ratio", "9"), "steer_ratio = 140.4 [1], expected 1 to 50"),
         (("calibrate", "mine.toml"), "shipped: dbw-kit.toml"),
@@ -55,7 +61,7 @@ def test_check_prints_what_is_read_and_written(run: Run) -> None:
         (("calibrate", "--minutes", "0"), "expected 0.1 to 60 of driving"),
         (("calibrate", "--controller", "mcp"), "valid: stanley"),
         (("calibrate", "--from", "none.mcap"), "No such file"),
-        (("calibrate", "--from", "/dev/null"), "no recording of steerkit"),
+        (("calibrate", "--from", __file__), "no recording of steerkit"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(words: tuple[str, ...], says: str, run: Run) -> None:

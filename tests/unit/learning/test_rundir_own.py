@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from steerkit._support.plugins import imported
+from steerkit._support.plugins import imported, mine, name_of
 from steerkit.cli.drive import driven
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
@@ -94,3 +94,26 @@ def test_a_finished_run_learns_on_with_the_numbers_of_a_longer_one(tmp_path: Pat
         learn(short, tmp_path / "run")
     with pytest.raises(ValueError, match=r"another experiment: its setting and seed differ"):
         learn(replace(longer, setting=PAPER, seed=4), tmp_path / "run")
+
+
+@pytest.mark.parametrize("table", [{"setting": {"doe": "{}:Geared"}}, {"scenario": {"kind": "{}:Yard"}}])
+@pytest.mark.parametrize("ending", [".py", ""])
+def test_what_a_run_names_is_not_run_unless_the_user_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table: dict[str, dict[str, str]], ending: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path(f"{tmp_path.name}.py").write_text(f"open('ran', 'w')\n{Path(own_parts.__file__).read_text()}")
+    home = f"{tmp_path.name}{ending}"
+    part, (key, name) = next((part, *given.items()) for part, given in table.items())
+    data = {"format": rundir.FORMAT, **{key: {} for key in rundir.KEYS}, "experiment": rundir.plain(Experiment())}
+    data["experiment"][part][key] = name.format(home)
+    (tmp_path / "run.json").write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"nothing that a file names is run; if you trust it: steerkit --code "):
+        rundir.experiment_of(tmp_path)
+    assert not Path("ran").exists()
+    mine(home)
+    assert name_of(type(getattr(rundir.experiment_of(tmp_path), part))) or key == "doe"
+    (tmp_path / "run.json").write_text(json.dumps({**data, "code": {home: "0" * 16}}))
+    with pytest.raises(ValueError, match=f"{home} has changed since .*run.json was written: another SHA-256"):
+        rundir.experiment_of(tmp_path)
