@@ -73,7 +73,6 @@ def engage(socket_path: str, *, timeout: float = 20.0) -> None:
     end = time.monotonic() + timeout
     with CarClient(socket_path, controller=False) as operator:
         while (snapshot := operator.query()).mode is not Mode.ENGAGED:
-            operator.beat()
             if snapshot.mode in orders:
                 operator.order(orders[snapshot.mode])
             elif "kit " in snapshot.text:  # it has a fault latched

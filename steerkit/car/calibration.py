@@ -16,7 +16,7 @@ from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient
 from steerkit.car.config import CarConfig
-from steerkit.car.estimates import DROVE, EARLIER, QUANTITIES, changes, earlier, known_in, report
+from steerkit.car.estimates import DOUBTED, DROVE, EARLIER, QUANTITIES, changes, earlier, known_in, report
 from steerkit.car.loop import Follow
 from steerkit.car.panel import Panel
 from steerkit.car.protocol import ESTIMATES
@@ -206,10 +206,12 @@ def of_recording(recording: FilePath) -> Calibrated:
     require(bool(drives), f"{recording}", "there is no drive in it: no request")
     drive = max(drives, key=lambda drive: len(drive.requests))
     estimators, _ = replays.replayed_estimates(drive, config)
-    lost = () if recorded.whole else (f"the recording is damaged or cut short: {recorded.kept()}",)
+    notes = [] if recorded.whole else [f"the recording is damaged or cut short: {recorded.kept()}"]
+    notes += [DOUBTED] if estimators.doubted else []
     digest = hashlib.sha256(read_bytes(recording)).hexdigest()
     found = estimators.found()
-    return Calibrated(config=config, found=found, before=earlier(config), log=recording.name, digest=digest, notes=lost)
+    source: dict[str, Any] = {"log": recording.name, "digest": digest, "notes": tuple(notes)}
+    return Calibrated(config=config, found=found, before=earlier(config), **source)
 
 
 def from_recording(recording: FilePath, out: FilePath, *, say: bool = True) -> dict[str, Any]:
@@ -225,6 +227,7 @@ def from_recording(recording: FilePath, out: FilePath, *, say: bool = True) -> d
         print("\n".join(report(made.found, made.before)))
     if not made.learned:
         needed = "the wheel has to move to and fro while the car is ENGAGED and drives 3 m/s or faster"
+        needed = DOUBTED if DOUBTED in made.notes else needed
         raise NothingLearned(f"{recording}: nothing was learned, no vehicle file is written; {needed}")
     try:
         write_text(out, made.text())
@@ -244,11 +247,17 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
     """`steerkit car calibrate`: drive, then write the vehicle file `out`; returns figures and estimates.
 
     Nothing is lost when a drive is cut short: the file can be made from its recording. Raises ValueError, before
-    anything starts, for an `out` that is no vehicle file and for what `check` refuses.
+    anything starts, for an `out` that is no vehicle file and for what `check` refuses, and NothingLearned, before
+    anything moves, where a car server is running: its recording is its own.
     """
     check(base, minutes)
     check_place(out)
     with sessions.session(options) as here:
+        if not here.recording:
+            hint = f"drive with it and use its recording: steerkit car calibrate --from RECORDING --out {out}"
+            raise NothingLearned(
+                f"{here.socket}: no vehicle file: the car server there was not ours; end it, or {hint}"
+            )
         here.link.wait(timeout=10.0)
         guided = Guided(
             config=here.config, path=here.path, link=here.link, base=base, minutes=minutes, say=not here.live
@@ -261,7 +270,4 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
                 on_miss=lambda live: loops.count_misses(live, here.link),
             )
     figures = sessions.finished(here, run)
-    if not here.recording:
-        print(f"when the car server that was there has ended: steerkit car calibrate --from RECORDING --out {out}")
-        return figures
     return figures | from_recording(FilePath(here.recording), out, say=not options.quiet)

@@ -29,13 +29,19 @@ class CarClient:
     """A line to the car server over its Unix socket.
 
     socket_path: as given to the car server. controller: may it ask for angles? Others may look, and give orders.
-    course: `protocol.digest` of the course that it drives.
+    course: `protocol.digest` of the course that it drives. name: what panels call it.
     timeout [s]: longest wait for an answer; of a car server that ends, one hears at once, and one that stands still
     lets go of the wheel by itself. Raises CarLost when no car server answers, now or later.
     """
 
     def __init__(
-        self, socket_path: str, *, controller: bool = True, timeout: float = 1.0, course: str = protocol.NO_COURSE
+        self,
+        socket_path: str,
+        *,
+        controller: bool = True,
+        timeout: float = 1.0,
+        course: str = protocol.NO_COURSE,
+        name: str = "",
     ):
         self.path, self.misses = socket_path, 0
         self.last: Snapshot | None = None
@@ -52,9 +58,9 @@ class CarClient:
             ) from error
         if not _ours(self._socket):
             raise CarLost(f"{socket_path}: the process there is another user's; it is not trusted")
-        self._send(protocol.Hello(controller, course=course))
+        self._send(protocol.Hello(controller, course=course, name=name))
         self.query()
-        if controller and self.refused:
+        if self.refused:
             raise CarLost(f"{socket_path}: {self.refused[0]}")
 
     def query(self) -> Snapshot:
@@ -67,7 +73,11 @@ class CarClient:
                 raise CarLost(f"{self.path}: the car server does not answer ({error})") from error
             if not packet:
                 raise CarLost(f"{self.path}: the car server has ended")
-            message = protocol.decode(packet)
+            try:
+                message = protocol.decode(packet)
+            except ValueError as error:
+                other = f"the car server speaks another version of the protocol than {protocol.VERSION}"
+                raise CarLost(f"{self.path}: {other}: end it and start it anew ({error})") from error
             if isinstance(message, protocol.Refused):
                 self.refused.append(message.why)
             elif isinstance(message, Snapshot):

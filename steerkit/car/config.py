@@ -736,6 +736,18 @@ def bus_of(channel: str) -> dict[str, Any] | None:
     return checked({"interface": "slcan", "channel": channel, "bitrate": 500000, "sleep_after_open": 0.0})
 
 
+def check_pace(time_scale: float, bus: dict[str, Any]) -> None:
+    """Raise ValueError for time that runs otherwise than in reality on a bus that a real car may be on.
+
+    Without one are the virtual buses, and slcan on a pseudo-terminal or on this machine's own port.
+    """
+    interface, channel = (str(bus.get(key, "")) for key in ("interface", "channel"))
+    simulated = {"slcan": ("/dev/pts/", "socket://127.0.0.1:", "socket://localhost:"), "socketcan": ("vcan",)}
+    if time_scale != 1.0 and interface != "virtual" and not channel.startswith(simulated.get(interface, ())):
+        where = f"on {interface}:{channel}: a real car has real time; use --simulated, or a simulated car's channel"
+        raise ValueError(f"--time-scale {time_scale:g} {where}")
+
+
 def course_of(config: CarConfig) -> Path:
     """The path that a configuration names; raises ValueError, saying where, for a name that is not known."""
     if "name" not in config.course:

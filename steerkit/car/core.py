@@ -118,7 +118,10 @@ class Core:
         self._course = protocol.digest(path)
         self._late: deque[tuple[float, float]] = deque(maxlen=1000)
         self._links: dict[int, bool | None] = {}  # is it the controller? None: has not said yet
+        self._names: dict[int, str] = {}
         self._beats: dict[int, float] = {}  # of operators: when their panel last read its keys
+        self._holder = -1  # whose panel engaged
+        self._let_go = -math.inf  # when driving last ended
         self._unrecorded = ""
         self.ended = False
         self._request: protocol.Request | None = None
@@ -182,13 +185,16 @@ class Core:
             case None:
                 pass
             case protocol.Hello(version=version) if version != protocol.VERSION:
-                refused = f"the car server speaks version {protocol.VERSION}, not {version}"
+                both = f"version {protocol.VERSION} of the protocol, not {version}"
+                refused = f"the car server speaks {both}: start both from the same installation"
             case protocol.Hello(controller=True) if True in self._links.values():
                 refused = "there is a controller already; end it first"
             case protocol.Hello() if message.course not in (protocol.NO_COURSE, self._course):
                 refused = "the car server is on another course; start both with the same configuration"
             case protocol.Hello():
                 self._links[event.link] = message.controller
+                shown = "".join([one for one in message.name if one.isprintable()])[:80]
+                self._names[event.link] = shown or f"client {event.link}"
             case _ if self._links.get(event.link) is None and not isinstance(message, protocol.Query):
                 refused = "say hello first, with a version that is understood"
             case protocol.Beat() if not self._links[event.link]:
@@ -201,8 +207,11 @@ class Core:
             case protocol.Command():
                 order = message.order
                 refused = self._against(order)
+                if order is Order.ENGAGE and not refused:
+                    refused = self._take_hold(t, event.link)
                 if refused:
                     out.append(Note("refused", {"t": t, "order": order, "why": refused}))
+                    order = None
             case protocol.Request():
                 refused = self._take_request(t, event.link, message)
             case protocol.Remark() if self._links.get(event.link):
@@ -237,6 +246,22 @@ class Core:
         nothing = order is Order.ACKNOWLEDGE and mode not in (Mode.FAULT, Mode.OVERRIDE, Mode.STANDBY)
         return f"nothing to acknowledge in {mode}" if nothing else ""
 
+    def _take_hold(self, t: float, link: int) -> str:
+        """Take note whose heartbeat counts if `link` engages: its own, or that of the only panel; else why not."""
+        alive = [one for one, last in self._beats.items() if t - last + EPS < self.config.states.heartbeat]
+        if link not in alive and len(alive) != 1:
+            panels = "; ".join([self._names[one] for one in alive])
+            return f"not engaged: engage at one of the panels that read their keys: {panels}"
+        self._holder = link if link in alive else alive[0]
+        return ""
+
+    @property
+    def _beat(self) -> float:
+        """When the panel that engaged last read its keys; while nobody drives, when any did [s]."""
+        if self.machine.mode is Mode.ENGAGED:
+            return self._beats.get(self._holder, -math.inf)
+        return max(self._beats.values(), default=-math.inf)
+
     # ---- deciding -------------------------------------------------------------------------------------------
 
     def facts(self, t: float) -> Facts:
@@ -249,11 +274,14 @@ class Core:
         known: dict[str, Any] = {name: v.get(name, math.nan) for name in ("delta_sw", "v", "v_kit")}
         known |= {flag: v.get(flag, 0.0) != 0.0 for flag in _FLAGS}
         engaged, since, enabled_since = self.machine.mode is Mode.ENGAGED, self.machine.since, senses.enabled_since
+        unasked = 0.0 if enabled_since is None else senses.enabled_at - max(enabled_since, self._let_go) + EPS
+        just_now = t - self._let_go < config.states.foreign_enable  # a kit's reports come later than it acts
         return Facts(
             connected=True in self._links.values(),
             listen_only=config.listen_only,
             report_age=senses.age(t, config.report_frames),
             pose_age=senses.age(t, config.pose_frames) + senses.delay,
+            pose_late=senses.delay,
             request_age=t - request.basis + EPS if request else math.inf,
             request=request.delta_sw if request else math.nan,
             **known,
@@ -271,9 +299,10 @@ class Core:
             e_growth=senses.e_growth(since) if engaged else 0.0,
             still_for=t - max(senses.moving, since) if engaged else 0.0,
             remaining=senses.remaining,
-            heartbeat_age=t - max(self._beats.values(), default=-math.inf) + EPS,
+            heartbeat_age=t - self._beat + EPS,
+            holder=self._names.get(self._holder, "") if engaged else "",
             foreign=senses.foreign[1] if t - senses.foreign[0] < FOREIGN else "",
-            foreign_enable=0.0 if engaged or enabled_since is None else t - max(enabled_since, since),
+            foreign_enable=0.0 if engaged else max(EPS if known["enabled"] or just_now else 0.0, unasked),
             recording=self._unrecorded if config.keep_recording else "",
         )
 
@@ -287,6 +316,8 @@ class Core:
         may_clear = bool(self.config.writer.clear) and not self.config.listen_only
         if order is Order.ACKNOWLEDGE and after.mode is Mode.STANDBY and may_clear:
             self._clear, self._urgent, self._neutral = True, True, max(self._neutral, 1)  # kits latch too
+        if order is Order.ACKNOWLEDGE and (self.senses.ahead or before.mode is Mode.STANDBY):
+            self.senses.forget_delay()  # never a delay, or one that its operator was told of
         if after is before:
             return
         self._enter(after, out)
@@ -302,7 +333,7 @@ class Core:
         before, self.machine = self.machine, after
         out.append(Note("state", {"t": after.since, "from": before.mode, "to": after.mode, "cause": after.cause}))
         if before.mode is Mode.ENGAGED:
-            self._neutral, self._urgent = NEUTRAL_FRAMES, True
+            self._neutral, self._urgent, self._let_go = NEUTRAL_FRAMES, True, after.since
 
     def _write(self, t: float, out: list[Output]) -> None:
         if self.config.listen_only:
@@ -347,7 +378,7 @@ class Core:
                 self._last_frame + pause,
                 self.senses.oldest(config.report_frames) + limits.report_age,
                 self.senses.oldest(config.pose_frames) + limits.pose_age - self.senses.delay,
-                max(self._beats.values(), default=t) + limits.heartbeat,
+                self._beat + limits.heartbeat,
             ]
             if self._request:
                 moments.append(self._request.basis + limits.request_lost)
@@ -380,5 +411,6 @@ class Core:
             frames_sent=float(self._frames_sent),
             places=float(self.senses.places),
             mode=self.machine.mode,
+            holder=f.holder,
             text="\n".join([self.machine.cause, *against]),
         )

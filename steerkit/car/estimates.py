@@ -60,6 +60,7 @@ QUANTITIES = {
     "play": Quantity("free play", "rad", "deg", _DEG, 2),
 }
 """By the names of `protocol.ESTIMATES`."""
+DOUBTED = "a FAULT ended this drive: what was estimated before it is not to be used, and is begun anew"
 DROVE, EARLIER = "drive", "an earlier drive"
 """Sources of an estimate in a vehicle file."""
 
@@ -70,7 +71,8 @@ class CarEstimators:
     Dead time and lag are those from the sample that a command was computed from to the wheel: the age of the wheel's
     report is taken off, the time that controller and car server take is in them. They and friction are learned while
     the car is ENGAGED, the others at all times. What is late or lost makes them wait, and nothing that a sample
-    holds raises: an error of arithmetic resets them, and `faults` counts it.
+    holds raises: an error of arithmetic resets them, and `faults` counts it. After a FAULT they begin anew: what was
+    wrong then may have been so for long. `doubted`: is there one now?
     """
 
     def __init__(self, config: CarConfig):
@@ -83,7 +85,7 @@ class CarEstimators:
             "friction": SteeringFriction(),
             "play": SteeringPlay(vehicle=car, held=False),
         }
-        self.faults = 0
+        self.faults, self.doubted = 0, False
         self._begin()
 
     def _begin(self) -> None:
@@ -93,6 +95,10 @@ class CarEstimators:
 
     def sample(self, now: Snapshot) -> None:
         """Take note of the next sample, 50 ms after the one before."""
+        self.doubted = now.mode is Mode.FAULT
+        if self.doubted:
+            self._begin()
+            return
         wild: Any = {name: math.nan for name, most in _MOST.items() if not abs(getattr(now, name)) <= most}
         now = now._replace(**wild)
         before, self._before = self._before, now
@@ -183,6 +189,8 @@ class Watched:
         assert now is not None
         self.estimators.sample(now)
         self._count += 1
+        if self.estimators.doubted:
+            self.found = {}
         if self._count % EVERY == 0:
             self.found = self.estimators.found()
             self.note(message_of(self.found))
@@ -190,7 +198,8 @@ class Watched:
     def report(self) -> list[str]:
         """What is known, and what has changed since an earlier drive, a line each."""
         anew = f"the estimators were reset {self.estimators.faults} times: errors of arithmetic"
-        return [*report(self.found, self.before), *([anew] if self.estimators.faults else [])]
+        more = [DOUBTED] if self.estimators.doubted else []
+        return [*report(self.found, self.before), *more, *([anew] if self.estimators.faults else [])]
 
     def rows(self) -> list[tuple[str, str]]:
         """The same in few rows, for a screen: what is known with its interval, what is not by its name."""

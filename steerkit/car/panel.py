@@ -1,7 +1,8 @@
 """The live panel of a drive, and its keys: on a line of its own to the car server, should the controller hang.
 
 Keys are read, the picture is drawn and the heartbeat is sent by one thread: a terminal that takes no more text, or is
-gone, stops the heartbeat, and 300 ms later the car is the human's again.
+gone, stops the heartbeat, and 300 ms later the car is the human's again. A panel that was suspended, or is not in the
+terminal's foreground, lets go too.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import contextlib
 import math
 import os
 import select
+import signal
 import sys
 import termios
 import threading
@@ -36,6 +38,19 @@ PERIOD = 0.04
 """Longest wait for a key [s]: a heartbeat follows each."""
 KEYS = {" ": Order.DISENGAGE, "e": Order.ENGAGE, "a": Order.ACKNOWLEDGE, "r": Order.ARM, "o": Order.OFF}
 KEYS["q"] = Order.DISENGAGE  # and the drive ends
+ENDING = " qo"
+"""The keys that mean while engaged what they always mean; every other one lets go."""
+HELD = 1.0
+"""A key `e` that comes again so soon is one that is held down, and engages nothing [s]."""
+NEXT = {
+    Mode.OFF: "r arms",
+    Mode.STANDBY: "wait until nothing is against it",
+    Mode.READY: "e engages",
+    Mode.ENGAGED: "any key lets go",
+    Mode.OVERRIDE: "a acknowledges",
+    Mode.FAULT: "a acknowledges",
+}
+"""The way on to ENGAGED."""
 HELP = "space let go · e engage · a acknowledge · r arm · o off · q quit"
 COLOURS = {
     Mode.OFF: "white",
@@ -46,7 +61,7 @@ COLOURS = {
     Mode.FAULT: "red",
 }
 STEERS = {None: "", True: " by the learner", False: " by the recovery controller"}
-SHOWN = {name: f"car.{name}" for name in Snapshot._fields if name not in ("t", "mode", "text")}
+SHOWN = {name: f"car.{name}" for name in Snapshot._fields if name not in ("t", "mode", "holder", "text")}
 SHOWN |= {"e": "path.e", "psi_e": "path.psi_e", "command": "gate.delta_sw"}
 """What a snapshot holds, and its name among a drive's signals."""
 UNRECORDED = ("not recorded: ", "recording: ")
@@ -58,8 +73,9 @@ LONGEST_RATE = 200.0
 class Panel:
     """Shows who steers and why, and turns keys into orders; unless the session is `live` it prints transitions only.
 
-    session: with `socket`, `timing`, `asked`, `learner_steers`, `adapted`, `filtered`, `corrections`, `watched`, and
-    `ending`, which ends the drive: so does a panel that breaks, as no key could disengage any more.
+    session: with `socket`, `timing`, `asked`, `learner_steers`, `adapted`, `filtered`, `corrections`, `watched`,
+    `signals`, which came since and let go, and `ending`, which ends the drive: so does a panel that breaks, as no key
+    could disengage any more, and one whose parent has ended.
     more: a line of text of somebody else, and what it is about.
     """
 
@@ -69,6 +85,7 @@ class Panel:
         self._over = self._engaged = False
         self._attended = sys.stdin.isatty() or session.options.simulated
         self._lost: CarLost | None = None
+        self.name = f"{title}, process {os.getpid()}{_terminal()}"
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -81,8 +98,10 @@ class Panel:
             raise self._lost
 
     def _run(self) -> None:
+        # a terminal in whose background this is then gives errors, instead of stopping the process
+        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGTTIN, signal.SIGTTOU))
         try:
-            with CarClient(self.session.socket, controller=False, timeout=2.0) as link:
+            with CarClient(self.session.socket, controller=False, timeout=2.0, name=self.name) as link:
                 try:
                     self._serve(link)
                 finally:  # in order, before the heartbeat goes with the line
@@ -98,33 +117,49 @@ class Panel:
     def _serve(self, link: CarClient) -> None:
         link.order(Order.ARM)
         last: Snapshot | None = None
-        said, drawn, unrecorded = "", -math.inf, ""
-        period = PERIOD / self.session.options.time_scale
+        said, told, drawn, unrecorded = "", "", -math.inf, ""
+        period, e_came = PERIOD / self.session.options.time_scale, -math.inf
+        parent = os.getppid() if sys.stdin.isatty() else None
         if not self.live and sys.stdin.isatty():
             print(f"keys: {HELP}", flush=True)
         with _keys() as read, self._screen() as show:
             while not self._over:
                 key = read(period)
-                if key is None:  # the terminal is gone
+                if key is None or parent not in (None, os.getppid()):  # the terminal is gone, or who started this
                     return
                 if key == "q":
                     self.session.ending = True
-                if key in KEYS:
-                    said = ""
-                    link.order(KEYS[key])
-                elif key and self._engaged:  # another key asks for something: disengaging is the safe answer
+                if key:
+                    said, order = "", KEYS.get(key, Order.DISENGAGE)
+                    if self._engaged and key not in ENDING:  # it asks for something: disengaging is the safe answer
+                        order = Order.DISENGAGE
+                    before, e_came = e_came, time.monotonic() if key == "e" else e_came
+                    if order is Order.ENGAGE and e_came - before < HELD:
+                        said = f"e again within {HELD:g} s, as of a key that is held down: press it once, later"
+                    else:
+                        link.order(order)
+                while self.session.signals:  # a pause, or a wish to have one
+                    said = f"let go: {self.session.signals.pop()} came"
                     link.order(Order.DISENGAGE)
-                if self._attended:
+                here = _in_foreground()
+                if self._engaged and not here:
+                    said = "let go: this is not in the terminal's foreground"
+                    link.order(Order.DISENGAGE)
+                if self._attended and here:
                     link.beat()
                 snapshot = link.query()
-                before, self._engaged = self._engaged, snapshot.mode is Mode.ENGAGED
-                if before and not self._engaged:
+                engaged, self._engaged = self._engaged, snapshot.mode is Mode.ENGAGED
+                if engaged and not self._engaged:
                     _ring()
                 if link.refused:
                     said = link.refused[-1]
                     link.refused.clear()
                 if not self.live and (last is None or snapshot.mode is not last.mode):
-                    print(line_of(snapshot), flush=True)
+                    held = f"held by {snapshot.holder}; " if snapshot.holder else ""
+                    print(f"{line_of(snapshot)} ({held}{NEXT[snapshot.mode]})", flush=True)
+                if not self.live and said not in ("", told):
+                    print(said, flush=True)
+                told = said
                 lost = next((w for w in snapshot.text.split("\n") if w.startswith(UNRECORDED)), unrecorded)
                 if not self.live and lost != unrecorded:
                     print(unrecorded := lost, file=sys.stderr, flush=True)
@@ -157,6 +192,8 @@ class Panel:
         rows: list[tuple[str, Any]] = [
             ("state", Text(f"{s.mode}", style=f"bold {COLOURS[s.mode]}")),
             ("cause", cause),
+            ("next", NEXT[s.mode]),
+            ("held by", s.holder and f"{s.holder}{' (this panel)' if s.holder == self.name else ''}"),
             ("e, psi_e", f"{s.e:+.3f} m   {degrees_of(s.psi_e):+.1f} deg"),
             ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {sent}, asked for {asked}{who}"),
             ("speed", f"{s.v:.2f} m/s, kit {s.v_kit:.2f} m/s   torque {s.torque:+.1f} N m"),
@@ -173,7 +210,7 @@ class Panel:
         table = Table.grid(padding=(0, 2))
         for row in rows:
             if row[1]:
-                table.add_row(*row)
+                table.add_row(*[Text(cell) if isinstance(cell, str) else cell for cell in row])  # no markup
         keys = HELP if sys.stdin.isatty() else "no keyboard here: no key disengages, a real car stays with the human"
         return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
 
@@ -208,6 +245,20 @@ def _ms(age: float) -> str:
     return f"{1e3 * age:.0f} ms" if age < 100.0 else "never"
 
 
+def _in_foreground() -> bool:
+    """Are the terminal's keys for this program? Also where there is none, or one that does not control it."""
+    try:
+        return not sys.stdin.isatty() or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except OSError:
+        return True
+
+
+def _terminal() -> str:
+    with contextlib.suppress(OSError):
+        return f" on {os.ttyname(sys.stdin.fileno())}" if sys.stdin.isatty() else ""
+    return ""
+
+
 @contextlib.contextmanager
 def _keys() -> Any:
     """A function that waits for a key for some seconds and returns it, "" for none, None when the terminal is gone."""
@@ -221,18 +272,19 @@ def _keys() -> Any:
         return
     fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd)
-    tty.setcbreak(fd)
-    plain = termios.tcgetattr(fd)
-    plain[0] &= ~(termios.IXON | termios.IXOFF)  # Ctrl-S is a key like others here, and does not stop the screen
-    termios.tcsetattr(fd, termios.TCSADRAIN, plain)
 
     def read(seconds: float) -> str | None:
-        ready, _, _ = select.select([fd], [], [], seconds)
-        if not ready:
+        if not _in_foreground():  # what is typed is another program's, and so is how the terminal is set
+            time.sleep(seconds)
             return ""
         try:
+            if termios.tcgetattr(fd)[3] & termios.ICANON:  # at first, and after another program had it
+                _by_key(fd)
+            ready, _, _ = select.select([fd], [], [], seconds)
+            if not ready:
+                return ""
             data = os.read(fd, 1)
-        except OSError:
+        except (OSError, termios.error):
             return None
         return data.decode(errors="replace") if data else None
 
@@ -240,7 +292,17 @@ def _keys() -> Any:
         yield read
     finally:
         with contextlib.suppress(termios.error):  # of a terminal that is gone
-            termios.tcsetattr(fd, termios.TCSANOW, before)
+            if _in_foreground():
+                termios.tcsetattr(fd, termios.TCSANOW, before)
+
+
+def _by_key(fd: int) -> None:
+    """Have the terminal give each key at once, unseen."""
+    tty.setcbreak(fd)
+    plain = termios.tcgetattr(fd)
+    plain[0] &= ~(termios.IXON | termios.IXOFF)  # Ctrl-S is a key like others here, and does not stop the screen
+    plain[6][termios.VSUSP] = b"\0"  # nor does Ctrl-Z stop the program, which could not let go then
+    termios.tcsetattr(fd, termios.TCSADRAIN, plain)
 
 
 def stream(link: CarClient, server: Any, *, rate: float = 20.0) -> None:

@@ -22,7 +22,7 @@ from typing import Any, TextIO
 from steerkit._support.clock import Clock
 from steerkit._support.errors import in_one_line
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import bus_of, loaded
+from steerkit.car.config import bus_of, check_pace, loaded
 from steerkit.car.ports import BusPort, SlcanPort
 from steerkit.car.recording import Recording, described
 from steerkit.car.server import CarServer
@@ -160,10 +160,11 @@ def server(
     """The process that owns the bus, until nobody has been there for `linger` [s]; its exit code: 1 if the recording
     is not whole.
 
-    Raises ValueError for a configuration that wants a recording where none is made.
+    Raises ValueError for a configuration that wants a recording where none is made, and for what `check_pace` refuses.
     """
     logging.basicConfig(format="%(asctime)s %(name)s %(message)s", level=logging.INFO, stream=sys.stdout)
     car, path = loaded(config, channel)
+    check_pace(time_scale, car.bus)
     if car.keep_recording and not recording:
         raise ValueError(f"{config}: keep_recording = true, but nothing is recorded; give --recording FILE.mcap")
     recorder = Recording(recording, described(car, path, time_scale)) if recording else None
@@ -189,7 +190,7 @@ def simulate(
     """A simulated car on a bus of its own, which takes faults on standard input; its exit code.
 
     ratio: the true steering ratio over that of the data sheet. car: what else `SimulatedCar` takes. parent: number of
-    the process with which it ends; 0: with none. Raises ValueError for a channel of slcan.
+    the process with which it ends; 0: with none. Raises ValueError for a channel of slcan and as `server` does.
     """
     as_told, path = loaded(config, "-")
     arguments = bus_of(channel)
@@ -198,6 +199,7 @@ def simulate(
             f"--channel {channel!r} of a simulated car: expected INTERFACE:CHANNEL, as socketcan:vcan0; "
             "leave it out for an slcan port of its own"
         )
+    check_pace(time_scale, arguments or {"interface": "virtual"})
     clock = Clock(scale=time_scale)
     port = BusPort(arguments) if arguments else SlcanPort(listen)
     true = replace(as_told.vehicle, steer_ratio=ratio * as_told.vehicle.steer_ratio)

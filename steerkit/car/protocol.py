@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 from steerkit.car.state_machine import Mode, Order
 from steerkit.paths.path import Path
 
-VERSION = 4
+VERSION = 5
 """Another one where a message changes."""
 NO_COURSE = ""
 """Of a client that does not say which course it means."""
@@ -25,6 +25,8 @@ class Hello(NamedTuple):
     version: int = VERSION
     course: str = NO_COURSE
     """`digest` of the course that the controller drives; a car server on another one refuses it."""
+    name: str = ""
+    """What every panel calls this client."""
 
 
 class Query(NamedTuple):
@@ -32,7 +34,10 @@ class Query(NamedTuple):
 
 
 class Beat(NamedTuple):
-    """An operator's panel has just read its keys: sent ten times a second. Without any, no key could disengage."""
+    """An operator's panel has just read its keys: sent ten times a second. Without any, no key could disengage.
+
+    Any panel's lets the car be READY; while it is ENGAGED only those of the panel that engaged count.
+    """
 
 
 class Command(NamedTuple):
@@ -124,6 +129,8 @@ class Snapshot(NamedTuple):
     places: float = 0.0
     """How often the pose came back after a pause: a path tracker should look for its place again."""
     mode: Mode = Mode.OFF
+    holder: str = ""
+    """While engaged, the name of the panel that engaged: no other's heartbeat counts."""
     text: str = ""
     """The cause of the mode, then what stands against engaging, separated by line breaks."""
 
@@ -158,9 +165,11 @@ def encode(message: Message) -> bytes:
 
 
 def decode(packet: bytes) -> Message:
-    """The message in a packet; raises ValueError for what is none."""
+    """The message in a packet; raises ValueError for what is none. Of another version's `Hello`, that version only."""
     try:
         name, *values = _field(list, json.loads(packet))
+        if name == "Hello" and len(values) > 1 and values[1] != VERSION:
+            values = [*values[:2], NO_COURSE, ""]
         fields = [_field(kind, value) for kind, value in zip(_FIELDS[name].values(), values, strict=True)]
         message: Message = _KINDS[name](*fields)
         return message

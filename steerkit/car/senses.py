@@ -88,6 +88,7 @@ class Senses:
         self._errors_of_path: deque[tuple[float, float]] = deque()  # (t, |e|), each the least from then on
         self.moving = -math.inf
         self.enabled_since: float | None = None
+        self.enabled_at = -math.inf  # the last report of it
         car = config.vehicle
         self._tracker = PathTracker(path=path, reference=car.l_f)
         self._motion = MotionCheck(
@@ -103,6 +104,7 @@ class Senses:
         self._pose_frame = next(r.frame_id for r in config.readers if {"x", "lat"} & r.mappings.keys())
         self._stamp: tuple[float, float, float] | None = None  # first offset, least offset since, when
         self._stamped, self._quickest = 0.0, deque[tuple[float, float]]()
+        self.ahead = False  # do the time stamps say that poses come quicker than can be?
         self.delay = 0.0
         self.echo_ok = self.follow_ok = 0.0
 
@@ -159,9 +161,11 @@ class Senses:
             self.torque_reports = self.torque_reports + 1.0 if strong else max(0.0, self.torque_reports - 1.0 / 3.0)
         if "v" in values and abs(values["v"]) >= self.config.states.v_still:
             self.moving = arrived
-        if "enabled" in values:
-            since = arrived if self.enabled_since is None else self.enabled_since
-            self.enabled_since = since if values["enabled"] else None
+        if values.get("enabled"):
+            self.enabled_since = arrived if self.enabled_since is None else self.enabled_since
+            self.enabled_at = arrived
+        elif "enabled" in values and arrived - self.enabled_at > self.config.states.foreign_enable:
+            self.enabled_since = None
         if "delta_sw" in values and sent:
             self._check_wheel(arrived, sent)
         if "x" in values or "psi" in values:
@@ -230,8 +234,10 @@ class Senses:
             self._quickest.clear()
         first, least, when = self._stamp
         now = math.remainder(offset - first, self._stamp_wrap)
-        if now < least - AHEAD:  # not believed, so that it is forgotten when it comes back
-            self._grave(t, f"the time stamp is {least - now:.2f} s ahead")
+        self.ahead = now < least - AHEAD
+        if self.ahead:  # not believed, so that it is forgotten when it comes back
+            self._motion.forget()  # what came before may have waited somewhere
+            self._grave(t, f"the time stamp is {least - now:.2f} s ahead: acknowledge (a) to believe it from then on")
             return
         least = min(least + _STAMP_DRIFT * (arrived - when), now)
         self._quickest.append((arrived, least))
@@ -294,6 +300,6 @@ class Senses:
 
     def forget_delay(self) -> None:
         """Take the next time stamp for an undelayed one, and the next frame of each kind for one in time."""
-        self._stamp, self.delay = None, 0.0
+        self._stamp, self.delay, self.ahead = None, 0.0, False
         for frames in self._punctual.values():
             frames.forget()

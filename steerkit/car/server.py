@@ -40,7 +40,7 @@ class CarServer:
     """The program that owns a car's bus, while clients drive: `run()` ends when it is stopped.
 
     config: the car. path: its course. socket_path: where clients find it. recording: the file to write; None for none.
-    clock: time. linger [s]: how long it stays without any client, once there was one.
+    clock: time. linger [s]: how long it stays without any client.
     Raises OSError for a socket in use, or a bus that cannot be opened.
     """
 
@@ -62,7 +62,7 @@ class CarServer:
         self._socket_path = socket_path
         self._clients: dict[int, socket.socket] = {}
         self._links = 0
-        self._alone_since: float | None = None
+        self._alone_since: float | None = self.clock.now()
         self._unrecorded = ""
         self._packets: dict[int, deque[float]] = {}
         self._frames: queue.SimpleQueue[tuple[float, int, bytes, str] | BaseException] = queue.SimpleQueue()

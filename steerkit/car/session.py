@@ -24,7 +24,7 @@ from steerkit._support.files import read_bytes
 from steerkit.car import loop as loops
 from steerkit.car import processes
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import loaded
+from steerkit.car.config import check_pace, loaded
 from steerkit.car.estimates import Watched
 from steerkit.car.learner import CarLearner
 from steerkit.car.loop import adapted_in, filtered_in
@@ -63,6 +63,8 @@ class Session:
         self.config, self.path = loaded(options.config, channel)
         self.clock = Clock(scale=options.time_scale)
         self.ending = False
+        self.signals: list[str] = []
+        """Those that came since the panel looked, and after which it lets go."""
         self.link: Any = None
         self.watched: Any = None
         """Its estimators, `steerkit.car.estimates.Watched`."""
@@ -104,14 +106,14 @@ class Session:
 @contextlib.contextmanager
 def session(options: Options) -> Iterator[Session]:
     """A session: with the car server that is there, or else one of its own; both end in order."""
-    if options.time_scale != 1.0 and not (options.simulated or options.channel):
-        raise ValueError(f"--time-scale {options.time_scale:g}: a real car has real time; use --simulated")
+    if options.time_scale != 1.0 and not options.simulated:
+        check_pace(options.time_scale, loaded(options.config, options.channel)[0].bus)
     if options.simulated and options.channel:
         raise ValueError("--simulated starts a car on a channel of its own; leave --channel out")
     known(options.recovery, RECOVERIES, "--recovery")
     channel, started = options.channel, list[subprocess.Popen[str]]()
     with contextlib.ExitStack() as stack:
-        stack.enter_context(_ended_in_order())
+        signals = stack.enter_context(_ended_in_order())
         try:
             socket = options.socket or processes.default_socket()
             if options.simulated:  # never through a car server that may have a real car at its other end
@@ -119,6 +121,7 @@ def session(options: Options) -> Iterator[Session]:
                 process, channel = processes.start_simulated(options.config, time_scale=options.time_scale)
                 started.append(process)
             here = Session(options, socket, channel)
+            here.signals = signals
             if options.simulated or not os.path.exists(socket) or not _answers(socket):
                 text = stack.enter_context(_claimed(place := _new_recording(options.recording)))
                 here.recording, log = str(place), text.name
@@ -126,7 +129,11 @@ def session(options: Options) -> Iterator[Session]:
                 how |= {"time_scale": options.time_scale, "realtime": options.realtime}
                 started.insert(0, processes.start_car_server(options.config, socket, **how))
             else:
-                print(f"the car server at {socket} is used as it runs, with its own configuration and recording")
+                here.recording = ""
+                unused = f"; --recording {options.recording} is NOT written" if options.recording else ""
+                print(
+                    f"the car server at {socket} is used as it runs, with its own configuration and recording{unused}"
+                )
             here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))
             here.watched = Watched(here.config, here.link.note)
             if options.realtime:
@@ -146,23 +153,32 @@ def session(options: Options) -> Iterator[Session]:
 
 
 @contextlib.contextmanager
-def _ended_in_order() -> Iterator[None]:
-    """SIGTERM ends a drive as Ctrl-C does; and Ctrl-C does so too where the parent had SIGINT ignored.
+def _ended_in_order() -> Iterator[list[str]]:
+    """SIGTERM ends a drive as Ctrl-C does; and Ctrl-C and SIGHUP do so too where the parent had them ignored.
 
-    That is what a shell does to what it runs in the background; at the keyboard it can still be pressed.
-    Without a keyboard an ignored SIGINT stays ignored, as `nohup` asks. Only the main thread hears signals.
+    That is what a shell does to what it runs in the background; at the keyboard Ctrl-C can still be pressed.
+    Without a keyboard what is ignored stays so, as `nohup` asks. With one, a signal to pause does not pause, and its
+    name, as that of one to go on, is in the list that is given: nobody at the keyboard could let go meanwhile.
+    Only the main thread hears signals.
     """
+    came = list[str]()
 
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
+    def note(number: int, _: Any) -> None:
+        came.append(signal.Signals(number).name)
+
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield came
         return
-    numbers = [signal.SIGTERM, *([signal.SIGINT] if sys.stdin.isatty() else [])]
-    before = {number: signal.signal(number, interrupt) for number in numbers}
+    handlers: dict[signal.Signals, Any] = {signal.SIGTERM: interrupt}
+    if sys.stdin.isatty():
+        handlers |= dict.fromkeys((signal.SIGINT, signal.SIGHUP), interrupt)
+        handlers |= dict.fromkeys((signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU, signal.SIGCONT), note)
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
-        yield
+        yield came
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

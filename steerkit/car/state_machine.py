@@ -27,7 +27,7 @@ class Mode(StrEnum):
     OVERRIDE = "OVERRIDE"
     """The human took the wheel; latched until acknowledged."""
     FAULT = "FAULT"
-    """Something was wrong while engaged; latched until acknowledged."""
+    """Something was wrong while engaged, or the kit is enabled and not by us; latched until acknowledged."""
 
 
 class Order(StrEnum):
@@ -106,8 +106,8 @@ class StateLimits:
     """How far before the end of an open course driving ends [m]."""
     end_warning: float = number(5.0, "s", low=1.0, high=20.0)
     """How long before that the operator is warned [s]."""
-    foreign_enable: float = number(0.3, "s", low=0.1, high=1.0)
-    """How long the kit may be enabled while we are not [s]."""
+    foreign_enable: float = number(0.1, "s", low=0.05, high=0.5)
+    """How long the kit may be enabled without our asking [s]; a break that is no longer does not end it."""
 
     def __post_init__(self) -> None:
         check_numbers(self, "StateLimits")
@@ -160,14 +160,18 @@ class Facts(NamedTuple):
     """How long the car has stood [s]."""
     remaining: float = math.inf
     """Way to the end of an open course [m]."""
+    pose_late: float = 0.0
+    """How much of `pose_age` its time stamp says [s]."""
     heartbeat_age: float = math.inf
-    """Time since an operator's panel last read its keys [s]."""
+    """Time since an operator's panel last read its keys [s]; while engaged, that of `holder`."""
+    holder: str = ""
+    """The panel that engaged."""
     brake: bool = False
     accelerator: bool = False
     foreign: str = ""
     """Who else sends what only we, or only the kit, may send."""
     foreign_enable: float = 0.0
-    """How long the kit has been enabled while we were not [s]."""
+    """How long the kit has been enabled without our asking [s]; 0 only if it has let go."""
     recording: str = ""
     """What is wrong with a recording that has to be made."""
 
@@ -181,6 +185,10 @@ class Machine(NamedTuple):
 
 
 # Each of the checks yields what does not hold, as `name: why`. Comparisons are written so that a NaN is broken.
+
+
+ANEW = "if its clock was set anew, acknowledge (a) while in STANDBY"
+"""The way back from a time stamp that misleads."""
 
 
 def _ms(age: float) -> str:
@@ -206,7 +214,8 @@ def always(li: StateLimits, f: Facts) -> Iterator[str]:
     if not f.report_age < li.report_age:
         yield f"report stale: report {_ms(f.report_age)}"
     if not f.pose_age < li.pose_age:
-        yield f"pose stale: pose {_ms(f.pose_age)}"
+        late = f", {_ms(f.pose_late)} of it by its time stamp: {ANEW}" if f.pose_late > 0.02 else ""
+        yield f"pose stale: pose {_ms(f.pose_age)}{late}"
     if f.integrity_errors >= li.integrity_errors:
         yield f"integrity: {f.integrity_errors} errors within 1 s, last: {f.integrity}"
     if f.kit_faults:
@@ -228,7 +237,8 @@ def always(li: StateLimits, f: Facts) -> Iterator[str]:
     if not f.lateness < li.lateness:
         yield f"server late: own delay {_ms(f.lateness)}"
     if not f.heartbeat_age < li.heartbeat:
-        yield f"operator silent: no panel has read its keys since {_ms(f.heartbeat_age)}; open one on a terminal"
+        who = f"the panel that engaged ({f.holder}) has not" if f.holder else "no panel has"
+        yield f"operator silent: {who} read its keys since {_ms(f.heartbeat_age)}; open one on a terminal"
     if not (f.v >= -li.v_reverse and f.v_kit >= -li.v_reverse):
         yield f"reversing: {min(f.v, f.v_kit):.2f} m/s"
     if f.foreign:
@@ -263,9 +273,10 @@ def ending(li: StateLimits, f: Facts) -> Iterator[str]:
 
 
 def foreign_enable(li: StateLimits, f: Facts) -> Iterator[str]:
-    """Neither the human nor this server steers: reported in every state but ENGAGED."""
+    """Neither the human nor this server steers: a fault when armed, told in every state but ENGAGED."""
     if not f.foreign_enable < li.foreign_enable:
-        yield f"foreign enable: the kit has been enabled for {_ms(f.foreign_enable)}, and not by us"
+        why = "another program steers, or the kit does not let go: switch it off"
+        yield f"foreign enable: the kit has been enabled for {_ms(f.foreign_enable)}, and not by us; {why}"
 
 
 def engaging(li: StateLimits, f: Facts) -> Iterator[str]:
@@ -284,7 +295,8 @@ def engaging(li: StateLimits, f: Facts) -> Iterator[str]:
         yield f"speed: v = {f.v:.2f} m/s, expected {li.v_engage_min:g} to {li.v_engage_max:g}"
     if not f.remaining > li.end_margin + li.end_warning * max(f.v, 0.0):
         yield f"end of the course: {f.remaining:.1f} m before its end"
-    yield from foreign_enable(li, f)
+    if not f.foreign_enable <= 0.0:
+        yield "kit enabled: the kit has yet to say that it has let go"
 
 
 def readying(li: StateLimits, f: Facts) -> Iterator[str]:
@@ -305,6 +317,7 @@ def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Ord
 
         OFF      -ARM->          STANDBY
         STANDBY  -all is well->  READY;  READY -anything is not-> STANDBY
+        both     -foreign enable-> FAULT
         READY    -ENGAGE->       ENGAGED, in no other way
         ENGAGED  -human->        OVERRIDE;  -any fault-> FAULT;  -DISENGAGE, end of the course, standstill-> STANDBY
         OVERRIDE, FAULT -ACKNOWLEDGE-> STANDBY, in no other way
@@ -319,6 +332,8 @@ def step(limits: StateLimits, state: Machine, facts: Facts, t: float, order: Ord
         case Mode.OFF:
             return Machine(Mode.STANDBY, "operator: arm", t) if order is Order.ARM else state
         case Mode.STANDBY | Mode.READY as mode:
+            if foreign := next(foreign_enable(limits, facts), ""):
+                return Machine(Mode.FAULT, foreign, t)
             against = next(readying(limits, facts), "")
             if mode is Mode.STANDBY:
                 return state if against else Machine(Mode.READY, "all checks hold", t)

@@ -115,7 +115,7 @@ def calibrate(
     """A guided drive that ends in a vehicle file: delay, lag, ratio, offset, friction and play, with intervals.
 
     The car follows its course while the wheel swings slowly, then steps to and fro, then is left to the bends. Engage
-    by `e`, let go by space, as in any drive. Exit code: 0; 1 when nothing was found.
+    by `e`, let go by space, as in any drive. Exit code: 0; 1 when nothing was found, or a car server runs already.
     """
     place = out or FilePath(f"{FilePath(config).stem}-calibrated.toml")
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
@@ -228,6 +228,7 @@ def replay(
         estimators, again = replays.replayed_estimates(drive, config)
         if drive.estimates:
             print(f"estimates: {again} of {len(drive.estimates)} the same")
-        for line in estimates.report(estimators.found(), estimates.earlier(config)):
+        doubt = [estimates.DOUBTED] if estimators.doubted else []
+        for line in [*estimates.report(estimators.found(), estimates.earlier(config)), *doubt]:
             print(f"  {line}")
     raise typer.Exit(2 if lacking else 1 if recorded.lost else 0)

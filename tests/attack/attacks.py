@@ -5,6 +5,7 @@ import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from steerkit.car.core import Link
 from tests.attack import wire
 from tests.attack.bench import Attack, Drive, Sensed
 
@@ -120,6 +121,15 @@ def rogue_enable(drive: Drive, since: float) -> None:
     """After our end, somebody else keeps the kit enabled."""
     if drive.mode != "ENGAGED":
         drive.kit_enabled, drive.heard = True, drive.t
+
+
+def another_panel(drive: Drive, since: float) -> None:
+    """The panel that engaged stands still; another one, which came meanwhile, goes on reading its keys."""
+    drive.beating = False
+    if drive.frozen.setdefault("came", drive.k) == drive.k:
+        drive.handle(Link(drive.t, 3, True))
+        drive.packet(3, wire.HELLO[False])
+    drive.packet(3, wire.BEAT)
 
 
 WEAK = wire.report(0.0, 0.0, 5.0, 0.0, {"ENABLED"})
@@ -310,6 +320,7 @@ def _client() -> Iterator[Attack]:
 def _people_and_bus() -> Iterator[Attack]:
     yield from [
         Attack("heartbeat stops", act=lambda d, t: setattr(d, "beating", False)),
+        Attack("heartbeat stops, another panel goes on", act=another_panel),
         Attack("the operator's terminal is gone", act=once(lambda d: d.hang_up(2))),
         Attack("space bar", act=once(lambda d: d.order("DISENGAGE"))),
         Attack("off", act=once(lambda d: d.order("OFF"))),

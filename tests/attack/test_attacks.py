@@ -39,7 +39,9 @@ def test_what_looks_plausible_is_noticed_within_half_a_second(name: str) -> None
     assert max(driven(ATTACKS[name], speed=2.0, seed=seed).silence() for seed in (1, 2)) <= 0.5
 
 
-@pytest.mark.parametrize("name", ["heartbeat stops", "the operator's terminal is gone"])
+@pytest.mark.parametrize(
+    "name", ["heartbeat stops", "heartbeat stops, another panel goes on", "the operator's terminal is gone"]
+)
 def test_without_a_heartbeat_the_wheel_is_free_after_300_ms(name: str) -> None:
     drive = driven(ATTACKS[name], speed=5.0, seed=3)
     assert drive.silence() <= 0.3

@@ -1,6 +1,7 @@
 """The live panel on a real terminal (a pseudo-terminal): what it shows, and the space bar."""
 
 import contextlib
+import fcntl
 import json
 import os
 import pty
@@ -9,6 +10,7 @@ import select
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +19,7 @@ import pytest
 
 from steerkit.car import recording as recordings
 from steerkit.car.client import CarClient
+from steerkit.car.panel import HELD
 from steerkit.car.state_machine import Mode
 
 WAIT = 60.0
@@ -26,15 +29,22 @@ SLOWLY = ("--time-scale", "0.25")  # the car waits for a machine that is busy
 
 
 class Terminal:
-    """A program on a pseudo-terminal of 100 columns."""
+    """A program on a pseudo-terminal of 100 columns, whose session it leads, as with `ssh -t`: nothing suspends it."""
 
     def __init__(self, folder: Path, *words: str, **environment: str):
         """Its parent had it ignore SIGINT, as a shell does with what runs in the background."""
+
+        def lead() -> None:
+            os.setsid()
+            fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
         self.master, slave = pty.openpty()
         ignoring = ("sh", "-c", 'trap "" INT; exec "$0" "$@"')
         command = [*ignoring, sys.executable, "-c", "from steerkit.cli.app import main; main()", *words]
         env = {**os.environ, "TERM": "xterm", "COLUMNS": "100", "LINES": "30", **environment}
-        self.process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=env)
+        self.process = subprocess.Popen(
+            command, stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=env, preexec_fn=lead
+        )
         os.close(slave)
         self.text = ""
 
@@ -77,21 +87,34 @@ def terminal(folder: Path, *words: str, **environment: str) -> Iterator[Terminal
         os.close(there.master)
 
 
-def test_the_panel_shows_what_counts_and_space_or_any_other_key_lets_go_and_rings(tmp_path: Path) -> None:
-    """Ctrl-S too, which would have stopped the screen, and the first byte of an arrow; not the keys of the list."""
+def test_the_panel_shows_what_counts_and_every_key_or_a_pause_lets_go_and_rings(tmp_path: Path) -> None:
+    """Ctrl-S too, which would have stopped the screen, Ctrl-Z, the first byte of an arrow, and a key of the list."""
     with terminal(tmp_path, *DRIVE, *SLOWLY, "--recording", "drive.mcap") as there:
-        for key in (" ", "x", "\x13", "\x1b", "E"):
+        for key in (" ", "\x13", "\x1b", "\x1a", "e", ""):
             there.until("READY")
-            there.press(key)  # nobody drives: nothing to let go of
+            there.press(key if key != "e" else "")  # nobody drives: nothing to let go of
+            time.sleep(HELD)
             there.press("e")
             screen = there.until(r"ENGAGED[\s\S]*╰")
             screen += there.until(r"steps +\d+, misses")
-            for word in ("state", "e, psi_e", "wheel", "speed", "ages", "p99", "space let go", "\x1b[1;32mENGAGED"):
+            for word in (
+                "state",
+                "e, psi_e",
+                "wheel",
+                "speed",
+                "ages",
+                "p99",
+                "space let go",
+                "this panel",
+                "\x1b[1;32mENGAGED",
+            ):
                 assert word in screen, word  # green and bold
-            there.press("e")
-            there.until("not engaged from ENGAGED")
             assert "\a" not in there.text
             there.press(key)
+            if not key:
+                there.process.send_signal(signal.SIGSTOP)
+                time.sleep(0.05)
+                there.process.send_signal(signal.SIGCONT)
             there.until("\a")  # the bell
         there.until("READY")
         there.press("q")
@@ -102,7 +125,7 @@ def test_the_panel_shows_what_counts_and_space_or_any_other_key_lets_go_and_ring
     assert ("READY", "ENGAGED", "operator: engage") in changes
     assert [change for change in changes if change[0] == "ENGAGED"] == [
         ("ENGAGED", "STANDBY", "operator: disengage")
-    ] * 5
+    ] * 6
 
 
 def test_a_terminal_that_reads_nothing_more_or_is_gone_lets_go(tmp_path: Path) -> None:
@@ -112,10 +135,12 @@ def test_a_terminal_that_reads_nothing_more_or_is_gone_lets_go(tmp_path: Path) -
         there.press("e")
         there.until("ENGAGED")
         with CarClient(socket, controller=False) as link:  # from here on, the screen is not read
-            assert link.wait(Mode.FAULT, timeout=WAIT).text.startswith("operator silent: no panel has read its keys")
+            silent = link.wait(Mode.FAULT, timeout=WAIT).text
+            assert silent.startswith("operator silent: the panel that engaged (stanley, process ")
         there.until("FAULT[\\s\\S]*\a|\a[\\s\\S]*FAULT")
         there.press("a")
         there.until("READY")
+        time.sleep(HELD)
         there.press("e")
         there.until("ENGAGED")
         os.close(there.master)

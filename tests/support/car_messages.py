@@ -5,7 +5,7 @@ from functools import cache
 from hypothesis import strategies as st
 
 from steerkit.car.config import CarConfig, load
-from steerkit.car.protocol import ESTIMATES, Adapted, Beat, Command, Estimates, Filtered, Hello, Query, Request
+from steerkit.car.protocol import ESTIMATES, VERSION, Adapted, Beat, Command, Estimates, Filtered, Hello, Query, Request
 from steerkit.car.state_machine import Order
 
 
@@ -15,7 +15,7 @@ def config() -> CarConfig:
 
 
 messages = st.one_of(
-    st.builds(Hello, st.booleans(), st.sampled_from([1, 2, 3, 4]), st.text(max_size=8)),
+    st.builds(Hello, st.booleans(), st.just(VERSION), st.text(max_size=8), st.text(max_size=8)),
     st.just(Beat()),
     st.just(Query()),
     st.builds(Command, st.sampled_from(Order)),

@@ -12,7 +12,8 @@ from steerkit.car import calibration as module
 from steerkit.car import recording as recordings
 from steerkit.car.calibration import Calibrated, NothingLearned
 from steerkit.car.estimates import CarEstimators, known_in
-from steerkit.car.protocol import ESTIMATES
+from steerkit.car.protocol import ESTIMATES, Snapshot
+from steerkit.car.state_machine import Mode
 from steerkit.estimators.estimate import Estimated
 from steerkit.plants.steering_actuator import steering_of
 from steerkit.vehicles import vehicle
@@ -100,6 +101,16 @@ def test_a_drive_that_finds_nothing_writes_nothing(tmp_path: Path) -> None:
     assert after().learned == 0
     assert after({"lag": Estimated(0.3, 0.01, 1.0)}).learned == 0
     assert issubclass(NothingLearned, ValueError)
+
+
+def test_a_drive_that_ended_in_a_fault_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    estimators, record = CarEstimators(CONFIG), tmp_path / "drive.mcap"
+    record.write_bytes(small())
+    monkeypatch.setattr(module.replays, "replayed_estimates", lambda *_: (estimators, 0))
+    for mode, why in ((Mode.FAULT, "a FAULT ended this drive"), (Mode.STANDBY, "the wheel has to move to and fro")):
+        estimators.sample(Snapshot(t=0.0, mode=mode))
+        with pytest.raises(NothingLearned, match=why):
+            module.from_recording(record, tmp_path / "mine.toml", say=False)
 
 
 def test_dead_time_and_lag_are_given_as_a_pair() -> None:

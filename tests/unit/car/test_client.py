@@ -1,9 +1,13 @@
-"""The car's block says that it is one car."""
+"""The car's block says that it is one car; a car server that speaks otherwise, or refuses, is told."""
+
+import json
+from types import SimpleNamespace
 
 import pytest
 
-from steerkit.car.client import CarLost, RealCar, ReplayLink
-from steerkit.car.protocol import Snapshot
+from steerkit.car import client as clients
+from steerkit.car.client import CarClient, CarLost, RealCar, ReplayLink
+from steerkit.car.protocol import Hello, Query, Refused, Snapshot, encode
 from steerkit.car.state_machine import Mode
 
 
@@ -42,3 +46,27 @@ def test_a_request_goes_out_with_the_time_of_what_it_was_computed_from() -> None
     assert link.count == 2
     with pytest.raises(CarLost, match="ended"):
         link.query()
+
+
+OLD = json.dumps(["Snapshot", *[0.0] * 21, "OFF", ""]).encode()
+NOT_KNOWN = encode(Refused("packet of 41 bytes is not known: zip() argument 2 is longer than argument 1"))
+
+
+@pytest.mark.parametrize("controller", [True, False])
+@pytest.mark.parametrize(
+    ("answers", "says"),
+    [
+        ([NOT_KNOWN, OLD], "the car server speaks another version of the protocol than 5: end it and start it anew"),
+        ([encode(Refused("it speaks version 6, not 5")), encode(Snapshot(0.0))], "socket: it speaks version 6, not 5"),
+    ],
+)
+def test_a_car_server_of_another_version_is_told(
+    answers: list[bytes], says: str, controller: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    coming, sent = iter(answers), list[bytes]()
+    line = SimpleNamespace(recv=lambda size: next(coming), send=sent.append, settimeout=print, connect=print)
+    monkeypatch.setattr(clients.socket, "socket", lambda *kind: line)
+    monkeypatch.setattr(clients, "_ours", lambda line: True)
+    with pytest.raises(CarLost, match=says):
+        CarClient("socket", controller=controller, name="me")
+    assert sent == [encode(Hello(controller, 5, "", "me")), encode(Query())]

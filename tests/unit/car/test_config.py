@@ -1,12 +1,13 @@
 """The TOML file of a car: what is shipped is right, and every mistake is named with what would be valid."""
 
 import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from steerkit.car.config import LIMITS, ConfigError, bus_of, course_of, load, loaded, shipped
+from steerkit.car.config import LIMITS, ConfigError, bus_of, check_pace, course_of, load, loaded, shipped
 from steerkit.car.ports import open_bus
 from steerkit.car.senses import Senses
 from steerkit.diagram.units import degrees_of, radians_of
@@ -271,6 +272,22 @@ def test_a_channel_that_is_no_bus_of_the_guide_is_refused_before_it_is_opened(tm
     with pytest.raises(OSError, match="cannot be opened"):
         open_bus({"interface": interface.split(":")[0] or "slcan", "channel": place})
     assert (tmp_path / "mine").read_text() == "kept"
+
+
+@pytest.mark.parametrize(
+    ("channel", "real"),
+    [
+        *((one, True) for one in ("", "/dev/ttyACM0", "socket://10.0.0.7:5000", "socketcan:can0", "pcan:PCAN_USBBUS1")),
+        *((one, False) for one in ("/dev/pts/7", "socket://127.0.0.1:5000", "socketcan:vcan0", "virtual:x")),
+    ],
+)
+def test_time_runs_as_in_reality_where_a_real_car_may_be(channel: str, real: bool) -> None:
+    bus = bus_of(channel) or load(KIT).bus
+    check_pace(1.0, bus)
+    with (
+        pytest.raises(ValueError, match=r"--time-scale 0\.5 on .*: a real car has real time") if real else nullcontext()
+    ):
+        check_pace(0.5, bus)
 
 
 def test_the_file_s_bus_is_taken_unless_a_channel_is_given() -> None:

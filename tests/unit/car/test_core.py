@@ -1,5 +1,6 @@
 """The core against noise."""
 
+import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -249,6 +250,7 @@ def test_a_server_that_only_listens_has_nothing_to_clear(listen_only: bool) -> N
 def test_ages_count_from_the_last_change_of_state_at_the_earliest(since: float, seen: float) -> None:
     core = linked()
     core.senses.echo_ok = core.senses.follow_ok = core.senses.moving = core.senses.enabled_since = seen
+    core.senses.enabled_at, core._let_go = 6.0, since
     for mode, ages in ((Mode.ENGAGED, (0.5, 0.5, 0.5, 0.0)), (Mode.READY, (0.0, 0.0, 0.0, 0.5))):
         core.machine = Machine(mode, "put there", since)
         facts = core.facts(6.0)
@@ -306,6 +308,133 @@ def test_only_an_operator_s_heartbeat_counts_and_it_goes_with_the_operator() -> 
     assert core.facts(5.5).heartbeat_age == pytest.approx(0.3)
 
 
+def panels(world: World, **beats: float) -> None:
+    """The operator is `first`, and on lines 3, 4, ... others come; time passes, and each beats until it does not."""
+    names = {2 + k: name for k, name in enumerate(beats)}
+    for link, name in names.items():
+        if link > 2:
+            world.handle(Link(world.t, link, True))
+        world.handle(Packet(world.t, link, encode(Hello(False, name=name))))
+    world.beats_until = -math.inf
+    for _ in range(7):
+        for link, name in names.items():
+            if world.t < beats[name]:
+                world.handle(Packet(world.t, link, encode(Beat())))
+        world.until(world.t + 0.1)
+
+
+def test_one_heartbeat_counts_that_of_the_panel_that_engaged_and_it_is_named() -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    panels(world, first=math.inf, second=math.inf)
+    assert (world.mode, world.query().holder) == (Mode.ENGAGED, "first")
+    stops = world.t + 0.05
+    panels(world, first=stops, second=math.inf)
+    assert world.mode is Mode.FAULT
+    when, _, cause = world.modes[-1]
+    assert when <= stops + world.config.states.heartbeat
+    assert cause.startswith("operator silent: the panel that engaged (first) has not read its keys since 300 ms")
+    world.order(Order.ACKNOWLEDGE)
+    panels(world, first=0.0, second=math.inf)
+    assert (world.mode, world.query().holder) == (Mode.READY, ""), "any panel's heartbeat is enough for that"
+    world.order(Order.ENGAGE)  # by a client that reads no keys, so it is the only panel's that counts
+    panels(world, first=0.0, second=math.inf)
+    assert (world.mode, world.query().holder) == (Mode.ENGAGED, "second")
+
+
+def test_who_reads_no_keys_cannot_engage_beside_two_panels_whose_names_are_shown_as_far_as_they_can_be() -> None:
+    world = World()
+    world.bring_to(Mode.READY)
+    panels(world, **{"first\x1b[2J\n\u202e": math.inf, "x" * 99: math.inf})
+    why = refusals(world.core, world.t, 1, Command(Order.ENGAGE))
+    assert why == [f"not engaged: engage at one of the panels that read their keys: first[2J; {'x' * 80}"]
+    assert world.mode is Mode.READY
+    assert refusals(world.core, world.t, 3, Command(Order.ENGAGE)) == []
+    assert world.query().holder == "x" * 80
+
+
+@pytest.mark.parametrize("hello", [["Hello", False, 4, ""], ["Hello", True, 6, "", "me", 1.0], ["Hello", False, 1]])
+def test_a_client_of_another_version_is_told_so(hello: list[Any]) -> None:
+    core = Core(config(), course("paper"))
+    core.handle(Link(5.0, 1, True))
+    (reply,) = core.handle(Packet(5.0, 1, json.dumps(hello).encode()))
+    both = f"version 5 of the protocol, not {hello[2]}: start both from the same installation"
+    assert decode(reply.data) == Refused(f"the car server speaks {both}")  # type: ignore[union-attr]
+    assert refusals(core, 5.1, 1, Command(Order.ARM)) == ["say hello first, with a version that is understood"]
+    assert core.machine.mode is Mode.OFF
+
+
+class Stopped(World):
+    """A car server that stands still while it is asleep: the first frames wait for it, as many as there is room for."""
+
+    waiting: list[Frame]
+
+    def handle(self, event: Any) -> None:
+        waiting = vars(self).setdefault("waiting", [])
+        if event.t < self.asleep_until:
+            if isinstance(event, Frame) and len(waiting) < 800:
+                waiting.append(event)
+            return
+        while waiting:
+            super().handle(waiting.pop(0)._replace(t=event.t, arrived=event.t))
+        super().handle(event)
+
+
+@pytest.mark.parametrize(
+    ("stops", "gap", "clock", "again"),
+    [
+        (5.0, 0.0, 0.0, False),  # the last frame that waited is 2.6 s older than the next one
+        (5.0, 0.0, 20.0, False),
+        (5.0, 0.0, -30.0, True),
+        (0.0, 0.5, 20.0, False),  # the receiver is started anew
+        (0.0, 0.5, -20.0, True),
+        (0.0, 0.0, -0.3, True),
+    ],
+)
+def test_after_a_pause_acknowledging_is_enough_and_the_panel_says_so(
+    stops: float, gap: float, clock: float, again: bool
+) -> None:
+    """The receiver's clock may have been set by so much. What may be a delay needs the order again, in STANDBY."""
+    world = Stopped(s=20.0)
+    world.bring_to(Mode.ENGAGED)
+    began, values = world.t, world.car._values
+
+    def told() -> dict[str, float]:
+        known = values()
+        later = world.car.t >= began + max(stops, gap)
+        return known | {"stamp": (known["stamp"] + clock * later) % 65.536}
+
+    world.car._values = told  # type: ignore[method-assign]
+    world.asleep_until = began + stops
+    world.car.faults.append(Fault(kind="drop", target="pose", start=began, length=gap))
+    world.until(began + max(stops, gap) + 2.0)
+    assert world.mode is Mode.FAULT
+    world.order(Order.ACKNOWLEDGE)
+    world.until(world.t + 1.5)
+    if again:
+        assert "by its time stamp: if its clock was set anew, acknowledge (a) while in STANDBY" in world.query().text
+        world.order(Order.ACKNOWLEDGE)
+        end = world.t + 12.0  # where frames had waited, dead reckoning has to come to the end of them
+        while world.mode is Mode.STANDBY and world.t < end:
+            world.until(world.t + 0.1)
+    assert world.mode is Mode.READY, world.query().text
+    world.order(Order.ENGAGE)
+    world.until(world.t + 1.0)
+    assert world.mode is Mode.ENGAGED
+
+
+@pytest.mark.parametrize("late", [0.2, 0.5])
+def test_a_delay_is_not_acknowledged_away_with_its_fault(late: float) -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED)
+    world.car.faults.append(Fault(kind="delay", target="pose", start=world.t, amount=late))
+    world.until(world.t + 1.0)
+    world.order(Order.ACKNOWLEDGE)
+    world.until(world.t + 3.0)
+    assert world.mode is Mode.STANDBY
+    assert f"{1e3 * late - 1.0:.0f} ms of it by its time stamp" in world.query().text
+
+
 @pytest.mark.parametrize(
     ("topic", "message"),
     [
@@ -345,21 +474,66 @@ def test_a_foreign_sender_of_the_command_is_told() -> None:
     assert told == [True, False, True]
 
 
-@pytest.mark.parametrize("mode", [m for m in Mode if m is not Mode.ENGAGED])
-def test_a_kit_that_stays_enabled_is_told_whatever_the_state(mode: Mode) -> None:
-    world = World()
-    world.bring_to(mode)
-    assert "not by us" not in world.query().text
-    world.car.enabled = True  # by somebody else, who goes on telling it
-    advance = world.car.advance
+def enabled_by_others(world: World, on: float = math.inf, off: float = 0.0) -> None:
+    """From now on somebody else enables the kit for so long [s], and again after a break; what we say does not help."""
+    advance, began = world.car.advance, world.t
 
     def kept(t: float) -> list[tuple[float, int, bytes]]:
-        world.car.enabled, world.car.heard = True, world.car.t
+        world.car.enabled, world.car.heard = (t - began) % (on + off) < on, world.car.t
         return advance(t)
 
     world.car.advance = kept  # type: ignore[method-assign]
     world.car.faults.clear()
     world.car.overridden = False
+
+
+@pytest.mark.parametrize("mode", [m for m in Mode if m is not Mode.ENGAGED])
+def test_a_kit_that_stays_enabled_is_told_whatever_the_state(mode: Mode) -> None:
+    world = World()
+    world.bring_to(mode)
+    assert "not by us" not in world.query().text
+    enabled_by_others(world)
     world.until(world.t + 0.5)
     assert "the kit has been enabled for" in world.query().text
-    assert world.mode is (Mode.STANDBY if mode is Mode.READY else mode)
+    assert world.mode is (Mode.FAULT if mode in (Mode.STANDBY, Mode.READY) else mode)
+
+
+@pytest.mark.parametrize(
+    ("on", "off", "lets_go", "within", "modes"),
+    [
+        (math.inf, 0.0, False, 0.13, [Mode.STANDBY, Mode.FAULT]),
+        (math.inf, 0.0, True, 0.13, [Mode.STANDBY, Mode.FAULT]),  # the kit ignores EN = 0
+        (0.06, 0.06, False, 0.2, [Mode.STANDBY, Mode.FAULT]),  # it comes and goes
+        (0.06, 9.0, False, 0.0, [Mode.STANDBY, Mode.READY]),
+        (0.0, 9.0, True, 0.0, [Mode.STANDBY, Mode.READY]),  # it lets go at once, and is waited for
+    ],
+)
+def test_a_kit_that_others_enable_is_a_fault_and_nobody_engages(
+    on: float, off: float, lets_go: bool, within: float, modes: list[Mode]
+) -> None:
+    world = World()
+    world.bring_to(Mode.ENGAGED if lets_go else Mode.READY)
+    enabled_by_others(world, on, off)
+    began, seen = world.t, len(world.modes)
+    if lets_go:
+        world.order(Order.DISENGAGE)
+        world.handle(Tick(world.t))
+        assert world.mode is Mode.STANDBY, "the kit has still to say that it is not enabled"
+    world.until(began + 0.05)
+    world.order(Order.ENGAGE)
+    world.until(began + 0.5)
+    assert [mode for _, mode, _ in world.modes[seen:]] == modes
+    assert not any(s.enable for s in world.sent if s.t > began)
+    if modes[-1] is not Mode.FAULT:
+        return
+    assert world.modes[-1][0] <= began + within
+    assert "another program steers, or the kit does not let go" in world.modes[-1][2]
+    world.order(Order.ACKNOWLEDGE)  # in vain: it is still enabled
+    world.until(world.t + 0.3)
+    assert world.mode is Mode.FAULT
+    vars(world.car).pop("advance")
+    world.until(world.t + 1.0)
+    assert world.mode is Mode.FAULT, "latched"
+    world.order(Order.ACKNOWLEDGE)
+    world.until(world.t + 0.3)
+    assert world.mode is Mode.READY

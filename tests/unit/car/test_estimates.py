@@ -166,6 +166,24 @@ def test_an_error_of_arithmetic_resets_the_estimators_and_is_counted(
     assert estimators.faults == 2
 
 
+def test_after_a_fault_all_is_found_anew_and_a_drive_that_ends_in_one_says_so(calibration: Made) -> None:
+    samples, noted = samples_of(calibration), list[protocol.Estimates]()
+    watched, prior = Watched(CONFIG, noted.append), fed([])
+    for sample in samples:
+        watched.sample(sample)
+    assert watched.found["steer_ratio"].valid == 1.0
+    ended = samples[-1]._replace(mode=Mode.FAULT)
+    watched.sample(ended)
+    assert watched.report() == [estimates.DOUBTED]
+    assert watched.rows() == [("", estimates.DOUBTED)]
+    assert watched.estimators.found() == prior
+    for sample in [ended] * 20 + samples[:100]:
+        watched.sample(sample)
+    assert noted[-1] == estimates.message_of(watched.found)
+    assert watched.estimators.found() == fed(samples[:100])
+    assert len(watched.report()) == len(ESTIMATES), "and nothing is in doubt"
+
+
 def test_a_screen_has_few_rows() -> None:
     watched = Watched(CONFIG, print)
     assert watched.rows() == []

@@ -1,12 +1,20 @@
 """The panel without a terminal, and a car seen live."""
 
+import contextlib
+import io
+import itertools
+import os
+import signal
 import time
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, Self
 
 import pytest
+from rich.console import Console
 
 from steerkit.car import panel
+from steerkit.car import session as sessions
 from steerkit.car.client import CarLost, ReplayLink
 from steerkit.car.panel import Panel, adapted_line, filter_line, stream
 from steerkit.car.protocol import Adapted, Filtered, Snapshot
@@ -49,7 +57,7 @@ def shown(
     monkeypatch.setattr(panel, "CarClient", lambda *words, **more: line)
     monkeypatch.setattr(panel, "_ring", lambda: rings.append(1))
     options = SimpleNamespace(simulated=simulated, time_scale=100.0)
-    session: Any = SimpleNamespace(socket="", options=options, live=False, ending=False, timing=None)
+    session: Any = SimpleNamespace(socket="", options=options, live=False, ending=False, timing=None, signals=[])
     end = time.monotonic() + 60.0
     try:
         with Panel(session, "a drive"):
@@ -88,6 +96,117 @@ def test_without_a_keyboard_a_real_car_hears_no_heartbeat(monkeypatch: pytest.Mo
     monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: False))
     line, _ = shown(monkeypatch, *[Mode.STANDBY] * 5, simulated=simulated)
     assert (line.beats > 0) is simulated
+
+
+def pressed(
+    monkeypatch: pytest.MonkeyPatch, mode: Mode, keys: list[str], *signals: str, seconds: float = 5.0, **system: Any
+) -> tuple[Line, Any]:
+    """A panel at a keyboard, in that state of the car; what it ordered in between, with so long between two keys."""
+    line, coming, clock = Line([mode], False), iter(["", *keys]), itertools.count(0.0, seconds)
+    session: Any = SimpleNamespace(socket="", live=False, ending=False, timing=None, signals=[])
+    session.options = SimpleNamespace(simulated=False, time_scale=1.0)
+
+    @contextlib.contextmanager
+    def keyboard() -> Iterator[Any]:
+        def read(seconds: float) -> str | None:
+            key = next(coming, None)
+            session.signals += signals if key == "" and line.beats else []
+            return key
+
+        yield read
+
+    monkeypatch.setattr(panel, "CarClient", lambda *words, **more: line)
+    monkeypatch.setattr(panel, "_keys", keyboard)
+    monkeypatch.setattr(panel, "_ring", lambda: None)
+    monkeypatch.setattr(panel, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: True, fileno=lambda: 0))
+    monkeypatch.setattr(panel.os, "ttyname", lambda fd: "/dev/pts/3")
+    for name, answer in ({"tcgetpgrp": lambda fd: os.getpgrp()} | system).items():
+        monkeypatch.setattr(panel.os, name, answer)
+    with Panel(session, "a drive") as shown:
+        shown._thread.join(60.0)
+    assert session.ending
+    assert (line.orders[0], line.orders[-1]) == (Order.ARM, Order.DISENGAGE)
+    line.orders[:] = line.orders[1:-1]
+    return line, shown
+
+
+LETS_GO = dict.fromkeys(("e", "a", "r", " ", "q", "x", "E", "\x1a", "\x1b", "\n", "\ufffd"), Order.DISENGAGE)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_every_key_lets_go_while_engaged_and_else_those_of_the_list_do_what_they_say(
+    monkeypatch: pytest.MonkeyPatch, mode: Mode
+) -> None:
+    listed = {"e": Order.ENGAGE, "a": Order.ACKNOWLEDGE, "r": Order.ARM}
+    expected = LETS_GO | {"o": Order.OFF} | ({} if mode is Mode.ENGAGED else listed)
+    assert {key: pressed(monkeypatch, mode, [key])[0].orders for key in expected} == {
+        key: [order] for key, order in expected.items()
+    }
+
+
+@pytest.mark.parametrize(("seconds", "orders"), [(0.3, 1), (2.0, 3)])
+def test_a_key_that_is_held_down_engages_once(monkeypatch: pytest.MonkeyPatch, seconds: float, orders: int) -> None:
+    line, _ = pressed(monkeypatch, Mode.READY, ["e"] * 3, seconds=seconds)
+    assert line.orders == [Order.ENGAGE] * orders
+    assert pressed(monkeypatch, Mode.ENGAGED, ["e"] * 3, seconds=seconds)[0].orders == [Order.DISENGAGE] * 3
+
+
+@pytest.mark.parametrize("mode", [Mode.ENGAGED, Mode.READY])
+def test_a_panel_that_was_to_pause_or_did_lets_go(monkeypatch: pytest.MonkeyPatch, mode: Mode) -> None:
+    """It may have been engaged since it was READY."""
+    assert pressed(monkeypatch, mode, [""], "SIGCONT")[0].orders == [Order.DISENGAGE]
+
+
+@pytest.mark.parametrize("keyboard", [True, False])
+def test_a_drive_at_a_keyboard_hears_signals_to_pause_and_ends_in_order_with_its_terminal(
+    monkeypatch: pytest.MonkeyPatch, keyboard: bool
+) -> None:
+    monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: keyboard))
+    pauses = [signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU, signal.SIGCONT]
+    before = {number: signal.getsignal(number) for number in (*pauses, signal.SIGHUP)}
+    with sessions._ended_in_order() as came:
+        if keyboard:
+            for number in pauses:
+                signal.getsignal(number)(number, None)  # type: ignore[operator, misc]
+            with pytest.raises(KeyboardInterrupt):
+                signal.getsignal(signal.SIGHUP)(signal.SIGHUP, None)  # type: ignore[operator, misc]
+        else:
+            assert {number: signal.getsignal(number) for number in before} == before
+    assert came == ([number.name for number in pauses] if keyboard else [])
+    assert {number: signal.getsignal(number) for number in before} == before
+
+
+def test_a_panel_in_the_background_or_of_a_parent_that_is_gone_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    behind, _ = pressed(monkeypatch, Mode.ENGAGED, ["", ""], tcgetpgrp=lambda fd: -1)
+    assert (behind.beats, behind.orders) == (0, [Order.DISENGAGE] * 2)
+    parents = iter([7, 7, 7, 1])
+    orphan, _ = pressed(monkeypatch, Mode.ENGAGED, [""] * 9, getppid=lambda: next(parents))
+    assert (orphan.beats, orphan.orders) == (2, []), "it ended, and its last order is to let go"
+
+
+def no_terminal(fd: int) -> int:
+    raise OSError("not the terminal that controls this")
+
+
+def test_a_terminal_that_controls_nothing_is_in_front(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert pressed(monkeypatch, Mode.READY, [""], tcgetpgrp=no_terminal)[0].beats == 2
+    line, here = pressed(monkeypatch, Mode.READY, [""], ttyname=no_terminal)
+    assert (line.beats, here.name) == (2, f"a drive, process {os.getpid()}")
+    assert pressed(monkeypatch, Mode.READY, [])[1].name == f"a drive, process {os.getpid()} on /dev/pts/3"
+
+
+def test_the_picture_names_the_panel_that_engaged_and_the_way_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, here = pressed(monkeypatch, Mode.READY, [])
+    here.session.__dict__.update(asked=None, adapted=None, filtered=None, learner_steers=None, corrections=[])
+    here.session.watched = SimpleNamespace(rows=list)
+    for holder, named in ((here.name, "(this panel)"), ("[/b] other", "[/b] other"), ("", "")):
+        console = Console(width=120, record=True, file=io.StringIO())
+        console.print(here._picture(Snapshot(t=0.0, mode=Mode.FAULT, holder=holder, text="why"), ""))
+        text = console.export_text()
+        assert "a acknowledges" in text
+        assert ("held by" in text) is bool(holder)
+        assert named in text
 
 
 def test_the_line_of_what_a_controller_that_adapts_is_told() -> None:

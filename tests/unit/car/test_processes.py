@@ -31,6 +31,7 @@ def test_a_process_of_the_car_imports_no_learner(command: str) -> None:
 @pytest.mark.parametrize(
     ("told", "says"),
     [
+        ({"config": KIT, "time_scale": 2.0}, "--time-scale 2 on slcan:/dev/ttyACM0: a real car has real time; use"),
         (
             {"config": "mine.toml"},
             "mine.toml: no such file, beside the configuration or shipped; shipped: dbw-kit.toml, dbw_steering",
@@ -44,6 +45,12 @@ def test_a_mistake_is_one_line_and_exit_code_2(
     assert processes.main(["server", json.dumps(told)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line
+
+
+def test_a_simulated_car_on_a_real_bus_has_real_time(capsys: pytest.CaptureFixture[str]) -> None:
+    told = {"config": KIT, "channel": "socketcan:can0", "time_scale": 2.0}
+    assert processes.main(["simulate", json.dumps(told)]) == 2
+    assert "--time-scale 2 on socketcan:can0: a real car has real time" in capsys.readouterr().err
 
 
 def test_the_command_line_tells_the_same_in_si(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,9 +23,10 @@ from steerkit.car.state_machine import Mode
 from tests.support.car_messages import messages
 
 snapshots = st.builds(
-    lambda numbers, mode, text: Snapshot(*numbers, mode=mode, text=text),
-    st.lists(st.floats(), min_size=len(Snapshot._fields) - 2, max_size=len(Snapshot._fields) - 2),
+    lambda numbers, mode, holder, text: Snapshot(*numbers, mode, holder, text),
+    st.lists(st.floats(), min_size=len(Snapshot._fields) - 3, max_size=len(Snapshot._fields) - 3),
     st.sampled_from(Mode),
+    st.text(max_size=80),
     st.text(max_size=200),
 )
 words = st.one_of(st.builds(Remark, st.text(max_size=200)), st.builds(Refused, st.text(max_size=200)))
@@ -58,7 +59,8 @@ STRANGE: list[Any] = [
     *([], 3, {}, {"Query": 1}, None, ["Reqest", *REQUEST[1:]], REQUEST[:-1], [*REQUEST, 1.0]),
     *(["Request", value, 0.0, 0] for value in ("x", "1.5", "nan", True, None, [], {}, 10**400)),
     *(["Request", 0.0, 0.0, value] for value in (1.5, True, "1", None, -1, 1 << 32, 10**4299)),
-    *([["Command", "FASTER"], ["Command", []], ["Remark", 1], ["Hello", 1, 4, ""], ["Hello", True, 4, None]]),
+    *([["Command", "FASTER"], ["Command", []], ["Remark", 1], ["Hello", 1, 5, "", ""], ["Hello", True, 5, None, ""]]),
+    *(["Hello", True, *rest] for rest in ([], ["4"], [5], [5, ""], [5, "", None], [5, "", "", ""])),
     *(["Estimates", value] for value in (FOUND[1:], [*FOUND, 0.0], 1.0, "1" * len(FOUND), [*FOUND[1:], True])),
 ]
 

@@ -26,6 +26,7 @@ from steerkit.car.server import CarServer
 from steerkit.car.state_machine import Machine, Mode
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
+from tests.support.command_lines import run
 
 
 def made(place: Path) -> CarServer:
@@ -113,6 +114,36 @@ def test_there_is_room_for_so_many_clients_and_those_who_are_here_notice_nothing
     lines.pop().close()
     car_server._turn()
     assert isinstance(answer(car_server, connected(car_server, tmp_path)), protocol.Snapshot)
+
+
+def test_where_nobody_ever_comes_it_ends_too(car_server: CarServer) -> None:
+    car_server.linger = -1.0
+    car_server._turn()
+    assert (car_server.stopping, car_server.cause) == (True, "no client for -1 s")
+
+
+def test_a_calibration_beside_a_car_server_that_runs_says_why_there_is_none(
+    car_server: CarServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At once: it is not driven for minutes first."""
+    monkeypatch.chdir(tmp_path)
+    over, words = threading.Event(), ("--socket", str(tmp_path / "socket"), "--recording", "mine.mcap")
+
+    def serve() -> None:
+        while not over.is_set():
+            car_server._turn()
+
+    serving = threading.Thread(target=serve)
+    serving.start()
+    try:
+        assert run("car", "calibrate", "dbw-kit.toml", *words, monkeypatch=monkeypatch) == 1
+    finally:
+        over.set()
+        serving.join(30.0)
+    printed, error = capsys.readouterr()
+    assert "no vehicle file: the car server there was not ours; end it, or drive with it and use its recording" in error
+    assert "--recording mine.mcap is NOT written" in printed
+    assert [file.name for file in tmp_path.iterdir()] == ["socket"]
 
 
 def test_a_client_that_floods_keeps_nobody_waiting_and_is_hung_up_on(

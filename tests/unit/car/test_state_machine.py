@@ -18,6 +18,7 @@ from steerkit.car.state_machine import (
     driving,
     ending,
     engaging,
+    foreign_enable,
     human,
     readying,
     step,
@@ -81,13 +82,14 @@ BAD_IN: dict[str, dict[str, dict[str, Any]]] = {
         "e": {"e": 0.51},
         "psi_e": {"psi_e": -0.27},
         "speed": {"v": 0.4, "v_kit": 0.4},
-        "foreign enable": {"foreign_enable": 0.3},
+        "kit enabled": {"foreign_enable": 1e-9},
     },
+    "foreign": {"foreign enable": {"foreign_enable": 0.1}},
     "ending": {"end of the course": {"remaining": 4.9}, "standstill": {"still_for": 1.0}},
 }
 """By when it matters, and by the name of its check: what is wrong."""
 BAD = {name: facts for group in BAD_IN.values() for name, facts in group.items()}
-ALL = (human, always, driving, engaging, ending)
+ALL = (human, always, driving, engaging, foreign_enable, ending)
 FAR_OFF = ("controller silent", "across the path")
 """What ends driving from values at which nobody could have engaged."""
 
@@ -106,6 +108,8 @@ def expected(mode: Mode, name: str, order: Order | None) -> Mode:
         return Mode.STANDBY if order is Order.ARM else Mode.OFF
     if mode in (Mode.OVERRIDE, Mode.FAULT):
         return Mode.STANDBY if order is Order.ACKNOWLEDGE else mode
+    if name in BAD_IN["foreign"] and mode in (Mode.STANDBY, Mode.READY):
+        return Mode.FAULT
     if mode is Mode.STANDBY:
         return Mode.STANDBY if against else Mode.READY
     if mode is Mode.READY:
@@ -135,7 +139,7 @@ def test_every_fault_in_every_state_under_every_order(name: str) -> None:
     for mode, order in itertools.product(Mode, (None, *Order)):
         after = step(LIMITS, Machine(mode, "before", 0.0), facts, 1.0, order)
         assert after.mode is expected(mode, name, order), (mode, order)
-        if after.mode in (Mode.FAULT, Mode.OVERRIDE) and mode is Mode.ENGAGED:
+        if after.mode in (Mode.FAULT, Mode.OVERRIDE) and mode is not after.mode:
             assert after.cause.startswith(f"{name}: ")
             assert after.since == 1.0
 
@@ -262,11 +266,15 @@ def test_exactly_at_its_limit_a_check_holds_while_driving(facts: dict[str, Any])
         {"v": LIMITS.v_engage_max},
         {"v": 0.5, "remaining": LIMITS.end_margin + 0.5 * LIMITS.end_warning + 1e-9},
         {"request_age": LIMITS.request_age - 1e-9},
-        {"foreign_enable": LIMITS.foreign_enable - 1e-9},
+        {"foreign_enable": 0.0},
     ],
 )
 def test_exactly_at_its_limit_a_check_holds_for_engaging(facts: dict[str, Any]) -> None:
     assert names(GOOD._replace(**facts), engaging) == set()
+
+
+def test_a_kit_that_others_enable_is_no_fault_before_its_limit() -> None:
+    assert names(GOOD._replace(foreign_enable=LIMITS.foreign_enable - 1e-9), foreign_enable) == set()
 
 
 def test_the_operator_is_warned_of_the_end_of_the_course_and_only_then() -> None:

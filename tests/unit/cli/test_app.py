@@ -53,6 +53,7 @@ TWO = ("--controller", "mpc", "--controller", "lqr")
             "--recovery 'prayer' is not known; valid: auto, adaptive, stanley",
         ),
         (("drive", "stanley", *CAR, "--time-scale", "2"), "a real car has real time; use --simulated"),
+        (("drive", "stanley", *CAR, "--time-scale", "2", "--channel", "/dev/ttyUSB0"), "a real car has real time; use"),
         (("drive", "stanley", *CAR, "--simulated", "--channel", "/dev/x"), "leave --channel out"),
         (("drive", "stanley", *CAR, "--recording", "there.mcap"), "recordings are not overwritten"),
         (("log", "none.csv"), "cannot be read"),
