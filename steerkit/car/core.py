@@ -304,6 +304,7 @@ class Core:
             foreign=senses.foreign[1] if t - senses.foreign[0] < FOREIGN else "",
             foreign_enable=0.0 if engaged else max(EPS if known["enabled"] or just_now else 0.0, unasked),
             recording=self._unrecorded if config.keep_recording else "",
+            astray=senses.astray(t),
         )
 
     def obstacles(self) -> list[str]:
@@ -410,6 +411,7 @@ class Core:
             errors=float(self.senses.error_count),
             frames_sent=float(self._frames_sent),
             places=float(self.senses.places),
+            astray=f.astray,
             mode=self.machine.mode,
             holder=f.holder,
             text="\n".join([self.machine.cause, *against]),

@@ -29,6 +29,7 @@ from rich.text import Text
 from steerkit._support.clock import Clock
 from steerkit._support.errors import require
 from steerkit.car.client import CarClient, CarLost
+from steerkit.car.motion import ASTRAY, HORIZON
 from steerkit.car.protocol import Adapted, Filtered, Snapshot
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.fail_safe import said
@@ -198,6 +199,7 @@ class Panel:
             ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {sent}, asked for {asked}{who}"),
             ("speed", f"{s.v:.2f} m/s, kit {s.v_kit:.2f} m/s   torque {s.torque:+.1f} N m"),
             ("ages", f"pose {_ms(s.pose_age)}, report {_ms(s.report_age)}, request {_ms(s.request_age)}"),
+            ("witness", witness_line(s.astray)),
             ("errors", f"{s.errors:.0f}   frames sent {s.frames_sent:.0f}"),
             ("steps", steps),
             *(("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against),
@@ -227,6 +229,14 @@ def _ring() -> None:
 def line_of(s: Snapshot) -> str:
     """A snapshot's state and cause in one line."""
     return f"{s.mode}: {s.text.splitlines()[0]}"
+
+
+def witness_line(astray: float) -> str:
+    """What a positioning system that lies unnoticed can do."""
+    told = (
+        "not known yet" if math.isnan(astray) else f"in {astray:.1f} s" if astray < HORIZON else f"not in {HORIZON:g} s"
+    )
+    return f"a pose that lies unnoticed leads the car {ASTRAY:g} m off: {told}"
 
 
 def adapted_line(told: Adapted) -> str:

@@ -128,6 +128,8 @@ class Snapshot(NamedTuple):
     frames_sent: float = 0.0
     places: float = 0.0
     """How often the pose came back after a pause: a path tracker should look for its place again."""
+    astray: float = math.nan
+    """The time in which a pose that lies unnoticed could lead the car half a metre off [s]; inf: not within 10 s."""
     mode: Mode = Mode.OFF
     holder: str = ""
     """While engaged, the name of the panel that engaged: no other's heartbeat counts."""

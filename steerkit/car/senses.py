@@ -8,12 +8,16 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from steerkit.car.config import CarConfig
+from steerkit.car.estimates import earlier
 from steerkit.car.frames import FrameReader
 from steerkit.car.motion import MotionCheck
 from steerkit.diagram.units import degrees_of
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
+from steerkit.vehicles.rollout import Rollout
 
 WHEEL_RATE = 25.0
 """Faster than any hand turns a wheel [rad/s]."""
@@ -23,6 +27,8 @@ FOLLOW = 0.35
 """The wheel has to be where the commands of so long ago, and later ones, sent it [s]."""
 AHEAD = 0.3
 """A pose that seems to come so much quicker than the quickest so far has a wrong time stamp [s]."""
+AHEAD_TIME = np.linspace(0.0, 4.0, 41)
+"""In the tightest bend of so long ahead [s], a lie does most."""
 FAST, FAST_TIME = 0.04, 3.0
 """The quickest pose may not become quicker by so much within so long [s]: the clock of the time stamps runs fast."""
 _STAMP_DRIFT = 2e-4  # by how much the clock of the pose may run differently
@@ -63,6 +69,11 @@ class Punctuality:
         return late if arrived - self._on_time > BEHIND_TIME else 0.0
 
 
+def witness(config: CarConfig) -> MotionCheck:
+    """What checks the pose of that car, which has not driven yet."""
+    return MotionCheck(config.motion, Rollout.of(config.vehicle), earlier(config))
+
+
 class Senses:
     """The last good value of each quantity [SI], kept by `frame`; a bad frame leaves it as it was, and is counted.
 
@@ -91,12 +102,8 @@ class Senses:
         self.enabled_at = -math.inf  # the last report of it
         car = config.vehicle
         self._tracker = PathTracker(path=path, reference=car.l_f)
-        self._motion = MotionCheck(
-            config.motion,
-            wheelbase=float(car.wheelbase),
-            steer_ratio=float(car.steer_ratio),
-            understeer=float(car.understeer_gradient),
-        )
+        self._motion = witness(config)
+        self._astray, self._asked = math.nan, -math.inf
         self._place: Any = None
         self.places = 0
         self.e = self.psi_e = math.nan
@@ -202,11 +209,18 @@ class Senses:
 
     def _reckon(self, arrived: float) -> None:
         """Add the way since the last speed, heading and yaw rate to what dead reckoning has."""
-        known = self.values
-        if not {"psi", "v", "r"} <= known.keys():
-            return
-        wheel = known.get("delta_sw", math.nan)  # without one, the yaw rate is not compared with it
-        self._motion.moves(arrived, psi=known["psi"], v=known["v"], r=known["r"], beta=self.beta, delta_sw=wheel)
+        known, names = self.values, {"psi", "v", "r", "delta_sw", "v_kit"}
+        if names <= known.keys():
+            self._motion.moves(arrived, **{name: known[name] for name in names})
+
+    def astray(self, t: float) -> float:
+        """The time in which a pose that lies unnoticed could lead the car half a metre off [s], of the last second."""
+        v = self.values.get("v_kit", math.nan)
+        if t - self._asked >= 1.0 and math.isfinite(v):
+            s = self._place.s if self._place else 0.0
+            bends = abs(self._tracker.path.kappa(s + abs(v) * AHEAD_TIME))
+            self._asked, self._astray = t, self._motion.astray(v, float(bends.max()))
+        return self._astray
 
     @property
     def beta(self) -> float:

@@ -106,6 +106,8 @@ class StateLimits:
     """How far before the end of an open course driving ends [m]."""
     end_warning: float = number(5.0, "s", low=1.0, high=20.0)
     """How long before that the operator is warned [s]."""
+    astray_min: float = number(0.2, "s", low=0.1, high=10.0)
+    """Least time in which a pose that lies unnoticed may lead the car half a metre off, to engage [s]."""
     foreign_enable: float = number(0.1, "s", low=0.05, high=0.5)
     """How long the kit may be enabled without our asking [s]; a break that is no longer does not end it."""
 
@@ -174,6 +176,8 @@ class Facts(NamedTuple):
     """How long the kit has been enabled without our asking [s]; 0 only if it has let go."""
     recording: str = ""
     """What is wrong with a recording that has to be made."""
+    astray: float = math.inf
+    """The time in which a pose that lies unnoticed could lead the car half a metre off [s]."""
 
 
 class Machine(NamedTuple):
@@ -297,6 +301,9 @@ def engaging(li: StateLimits, f: Facts) -> Iterator[str]:
         yield f"end of the course: {f.remaining:.1f} m before its end"
     if not f.foreign_enable <= 0.0:
         yield "kit enabled: the kit has yet to say that it has let go"
+    if not f.astray >= li.astray_min:
+        off = f"a pose that lies could lead 0.5 m off in {f.astray:.1f} s"
+        yield f"witness: {off}, expected {li.astray_min:g} s; steer by hand for longer, or calibrate"
 
 
 def readying(li: StateLimits, f: Facts) -> Iterator[str]:

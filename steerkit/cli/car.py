@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import sys
 from pathlib import Path as FilePath
 from typing import Annotated, Any
@@ -18,6 +19,8 @@ from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import course_of, loaded
 from steerkit.car.core import Core
 from steerkit.car.panel import stream as show
+from steerkit.car.panel import witness_line
+from steerkit.car.senses import witness
 from steerkit.car.session import Options
 from steerkit.car.state_machine import Order
 from steerkit.cli.options import CHANNEL, SOCKET, TIME_SCALE, Machine, Quiet
@@ -44,11 +47,21 @@ def check(
 ) -> None:
     """Check a configuration and print what would be read and written, and every limit."""
     car, path = loaded(config)
+    unlearned, bend = witness(car), float(abs(path.samples.kappa).max())
+    astray = {
+        f"{v:g} m/s, {where}": unlearned.astray(v, min(kappa, 2.0 / v**2))
+        for v in sorted({2.0, 5.0, car.states.v_engage_max})
+        for where, kappa in (("straight", 0.0), ("bend", bend))
+    }
     if as_json:
-        print(json.dumps({**car.facts(), "course": path.name, "length": path.length, "closed": path.closed}))
+        facts = {**car.facts(), "course": path.name, "length": path.length, "closed": path.closed}
+        print(json.dumps({**facts, "astray": {v: t if math.isfinite(t) else None for v, t in astray.items()}}))
         return
     print("\n".join(car.summary()))
     print(f"path     {path.name}, {path.length:.0f} m, {'closed' if path.closed else 'open'}")
+    print("witness  before it has learned the car; on the panel as it is then")
+    for where, t in astray.items():
+        print(f"           {where}: {witness_line(t)}")
     print(f"{config}: no mistakes found")
 
 

@@ -3,11 +3,13 @@
 import math
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 from steerkit.car.core import Link
 from tests.attack import wire
-from tests.attack.bench import Attack, Drive, Sensed
+from tests.attack.bench import STEP, Attack, Drive, Sensed
+from tests.attack.car import centred
 
 Sense = Callable[[Drive, Sensed, float], None]
 
@@ -156,6 +158,88 @@ def repeats(drive: Drive, values: Sensed, since: float) -> None:
 rad = math.radians
 
 
+def another_drive(pace: float = 1.0) -> Sense:
+    """The pose is that of another car, which from now on drives the course exactly: it agrees with itself in all."""
+
+    def sense(drive: Drive, values: Sensed, since: float) -> None:
+        car, ghost = drive.car, drive.frozen.setdefault("ghost", replace(drive.car))
+        for _ in range(2):
+            ghost.steer(centred(*ghost.error()[:2], ghost.v, ghost.r, ghost.error()[2]), STEP)
+            ghost.move(STEP, pace * drive.speed)
+        for name in ("x", "y", "psi", "v", "r"):
+            setattr(values, name, getattr(values, name) + getattr(ghost, name) - getattr(car, name))
+        values.beta, values.a_y = math.atan2(ghost.slide, max(ghost.v, 0.5)), ghost.a_y
+
+    return sense
+
+
+def reckoned(bias: float, told: float = 0.0) -> Sense:
+    """Heading and position are reckoned from a yaw rate with a bias, of which the yaw rate tells a share."""
+
+    def sense(drive: Drive, values: Sensed, since: float) -> None:
+        car, dt = drive.car, 2.0 * STEP
+        x, y = drive.frozen.get("reckoned", (0.0, 0.0))
+        off = bias * since
+        for side, angle in ((1.0, car.psi + off), (-1.0, car.psi)):
+            cos, sin = math.cos(angle), math.sin(angle)
+            x += side * dt * (car.v * cos - car.slide * sin)
+            y += side * dt * (car.v * sin + car.slide * cos)
+        drive.frozen["reckoned"] = x, y
+        values.x, values.y, values.psi, values.r = values.x + x, values.y + y, values.psi + off, values.r + told * bias
+
+    return sense
+
+
+def slow(share: float) -> Sense:
+    """What was, played back slower than it happened, with fresh stamps."""
+
+    def sense(drive: Drive, values: Sensed, since: float) -> None:
+        past = drive.frozen.setdefault("past", [])
+        past.append({name: getattr(values, name) for name in ("x", "y", "psi", "v", "r", "beta", "a_y")})
+        for name, value in past[int((1.0 - share) * (len(past) - 1))].items():
+            setattr(values, name, value)
+
+    return sense
+
+
+def both(*senses: Sense) -> Sense:
+    """One after the other."""
+
+    def sense(drive: Drive, values: Sensed, since: float) -> None:
+        for one in senses:
+            one(drive, values, since)
+
+    return sense
+
+
+def _liars() -> Iterator[Attack]:
+    """What agrees with itself in all that the positioning system says; only the kit tells."""
+    for where in ("bend", "entry", "straight"):
+        lies: dict[str, dict[str, Any]] = {
+            "the pose of another, perfect drive": {"sense": another_drive()},
+            "the pose of another drive, 3 % faster": {"sense": another_drive(1.03)},
+            "reckoned from a yaw rate 2.3 deg/s off, told": {"sense": reckoned(rad(2.3), 1.0)},
+            "reckoned from a yaw rate 0.4 deg/s off, hidden": {"sense": reckoned(rad(0.4))},
+            "reckoned from a yaw rate -0.4 deg/s off, told": {"sense": reckoned(rad(-0.4), 1.0)},
+            "pose 0.8 m/s too fast in all": {"sense": both(moved(along=growing(0.8)), plus("v", steady(0.8)))},
+            "pose 0.8 m/s too slow in all": {"sense": both(moved(along=growing(-0.8)), plus("v", steady(-0.8)))},
+            "values 5.5 % slower than time": {"sense": slow(0.055)},
+            "jumps of 0.24 m every 4.2 s": {"sense": moved(across=lambda t: 0.24 * math.ceil(t / 4.2))},
+            "jumps of 0.14 m every 4.2 s": {"sense": moved(across=lambda t: 0.14 * math.ceil(t / 4.2))},
+            "a sideslip of 2 degrees that is none": {
+                "sense": both(
+                    lambda d, v, t: moved(across=growing(d.speed * rad(2.0)))(d, v, t), plus("beta", steady(rad(2.0)))
+                )
+            },
+            "gain of the motor and its sensor 0.6": {
+                "sense": changed(angle=lambda a, t: a / max(0.6, 1.0 - t)),
+                "motor": lambda d, a, t: max(0.6, 1.0 - t) * a,
+            },
+        }
+        for what, lie in lies.items():
+            yield Attack(f"{what}, {where}", where=where, course="careful", seconds=12.0, **lie)
+
+
 def _pose() -> Iterator[Attack]:
     for where in ("bend", "straight"):
         for what, names in (
@@ -280,7 +364,7 @@ def _time() -> Iterator[Attack]:
             latency=growing(0.02),
             act=one_more,
             seconds=15.0,
-            physics="all that has a time agrees with a clock that runs slow",
+            harmless=True,
         ),
         Attack("delay growing by 20 ms a second", latency=growing(0.02), seconds=10.0),
         Attack("delay growing by 100 ms a second", latency=growing(0.1)),
@@ -349,5 +433,7 @@ def _people_and_bus() -> Iterator[Attack]:
     ]
 
 
+LIARS = {a.name: a for a in _liars()}
+"""Those that agree with themselves, by name."""
 ATTACKS = {a.name: a for a in (*_pose(), *_kit(), *_time(), *_client(), *_people_and_bus())}
 """All, by name."""

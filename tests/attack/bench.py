@@ -17,8 +17,11 @@ from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any
 
+from steerkit.car import protocol
+from steerkit.car.calibration import Calibrated
 from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core, Event, Frame, Link, Note, Output, Packet, Reply, Send, Tick
+from steerkit.car.estimates import CarEstimators
 from tests.attack import wire
 from tests.attack.car import FRONT, Car, Course, road, stadium, stanley
 
@@ -35,8 +38,8 @@ def courses() -> dict[str, Course]:
 
 
 @cache
-def configuration(name: str) -> tuple[CarConfig, Any]:
-    """The product's configuration for one of them, as a user would write it."""
+def configuration(name: str, vehicle: str = "") -> tuple[CarConfig, Any]:
+    """The product's configuration for one of them, as a user would write it; vehicle: text of a vehicle file."""
     course = courses()[name]
     with TemporaryDirectory() as folder:
         Path(folder, "track.csv").write_text(course.csv())
@@ -45,9 +48,24 @@ def configuration(name: str) -> tuple[CarConfig, Any]:
         text = shipped.replace('name = "paper"', f'file = "track.csv"\nclosed = {closed}', 1)
         if name == "careful":  # what docs/real-car.md recommends for controllers that do not learn
             text = text.replace("e_max = 2.0", "e_max = 0.45\ne_growth = 0.4\ne_engage = 0.3")
+        if vehicle:
+            text = text.replace('"vw-passat"', '"calibrated.toml"')
+            Path(folder, "calibrated.toml").write_text(vehicle)
         Path(folder, "car.toml").write_text(text)
         config = load(Path(folder, "car.toml"))
     return config, config.course["path"]
+
+
+@cache
+def calibrated(kinematic: bool) -> str:
+    """The vehicle file of a drive of a minute, the wheel swinging to and fro as the guided drive has it."""
+    swing = Attack("none", request=lambda drive, a, t: a + math.radians(25.0) * math.sin(1.9 * t), seconds=60.0)
+    drive = Drive(swing, kinematic=kinematic)
+    estimators = CarEstimators(drive.config)
+    drive.attack.act = lambda d, t: estimators.sample(protocol.decode(d.answer)) if d.k % 10 == 5 else None  # type: ignore[arg-type, func-returns-value]
+    drive.settle().run()
+    found = estimators.found()
+    return Calibrated(config=drive.config, found=found, before={}, log="drive.mcap", digest="").text()
 
 
 Sensed = SimpleNamespace
@@ -161,6 +179,10 @@ class Drive(Bench):
     """Who steers while the product does not; as it may only be engaged where both want the same angle."""
     lead: float = 0.0
     """How much earlier on a closed course the product is engaged [m]: on the straight before the bend, if need be."""
+    kinematic: bool = False
+    """Is the car one that rolls where its wheels point?"""
+    vehicle: str = ""
+    """Text of its vehicle file; "" for the data sheet."""
     noise: float = 1.0
     t: float = 0.0
     mode: str = "OFF"
@@ -170,7 +192,7 @@ class Drive(Bench):
     """(t, true e, true a_y, does the kit steer?)"""
 
     def __post_init__(self) -> None:
-        self.config, path = configuration(self.attack.course)
+        self.config, path = configuration(self.attack.course, self.vehicle)
         self.core = Core(self.config, path)
         self.dice = random.Random(self.seed)
         course = courses()[self.attack.course]
@@ -187,6 +209,7 @@ class Drive(Bench):
             psi,
             v=self.speed,
             near=i,
+            kinematic=self.kinematic,
         )
         self.car.wheel = 15.6 * 2.71 * float(course.kappa[i])
         self.client = self.client or OwnClient(course)
@@ -199,6 +222,7 @@ class Drive(Bench):
         self.waiting: list[tuple[float, int, bytes, str]] = []
         self.frozen: dict[str, Any] = {}
         self.beating = self.controlling = True
+        self.astray = math.nan  # as the panel shows it until the onset
         self.misses = 0
 
     # ---- around the core --------------------------------------------------------------------------------------
@@ -286,6 +310,8 @@ class Drive(Bench):
     def step(self) -> None:
         """5 ms."""
         since, attack, car = self.since(), self.attack, self.car
+        if since is None and self.answer and self.k % 10 == 6:
+            self.astray = protocol.decode(self.answer).astray  # type: ignore[union-attr]
         self.k += 1
         self.t = self.k * STEP
         if self.k % 2 == 0:
@@ -366,6 +392,11 @@ class Drive(Bench):
         before = max((abs(e) for t, e, _, _ in self.truth if self.onset - 0.5 <= t <= self.onset), default=0.0)
         during = [abs(e) for t, e, _, steered in self.truth if t >= self.onset and steered]
         return max(during, default=0.0) - before
+
+    def reached(self, off: float) -> float:
+        """When the true car was further off the path by so much than at the onset [s], from then; inf: never."""
+        before = max((abs(e) for t, e, _, _ in self.truth if self.onset - 0.5 <= t <= self.onset), default=0.0)
+        return next((t for t, e, _, _ in self.truth if t > self.onset and abs(e) > before + off), math.inf) - self.onset
 
     def a_y(self) -> float:
         """Largest true lateral acceleration while the product steered [m/s^2]."""

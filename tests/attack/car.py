@@ -76,6 +76,8 @@ class Car:
     """True steering-wheel angle [rad]."""
     a_y: float = 0.0
     near: int | None = field(default=None)
+    kinematic: bool = False
+    """Does it roll where its wheels point at any speed?"""
 
     def steer(self, target: float, dt: float) -> None:
         """The motor, or the human's hands: lag 0.1 s, at most 550 degrees a second."""
@@ -92,7 +94,7 @@ class Car:
         most_front, most_rear = GRIP * load_front, GRIP * load_rear
         force_front = most_front * math.tanh(STIFF_FRONT * slip_front / most_front)
         force_rear = most_rear * math.tanh(STIFF_REAR * slip_rear / most_rear)
-        if self.v > 1.0:
+        if self.v > 1.0 and not self.kinematic:
             slide = (force_front * math.cos(delta) + force_rear) / MASS - self.v * self.r
             turn = (FRONT * force_front * math.cos(delta) - REAR * force_rear) / INERTIA
             self.slide += slide * dt

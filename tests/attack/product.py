@@ -20,9 +20,9 @@ CONTROLLERS = ("mpc", "lqr", "pure-pursuit", "nfq")
 
 
 @cache
-def made(name: str, course: str) -> loops.Controller:
+def made(name: str, course: str, vehicle: str) -> loops.Controller:
     """A controller for a course, made once. Solutions take as long as they take: no result depends on the machine."""
-    config, _ = configuration(course)
+    config, _ = configuration(course, vehicle)
     if name == "nfq":
         return loops.policy_in(POLICY, "integrator", config)
     controller = loops.controller_named(name, config)
@@ -55,8 +55,8 @@ class Line:
 class ProductClient:
     """Steers with one of the product's controllers."""
 
-    def __init__(self, name: str, course: str):
-        self.controller, self.course, self.line = made(name, course), course, Line()
+    def __init__(self, name: str, course: str, vehicle: str = ""):
+        self.controller, self.car, self.line = made(name, course, vehicle), (course, vehicle), Line()
         self.follow: Follow | None = None
         self.learning = math.nan
         """Has the learned policy the wheel? NaN for a controller that does not learn."""
@@ -68,7 +68,7 @@ class ProductClient:
         if self.follow is None:
             if not math.isfinite(answer.x + answer.psi + answer.v + answer.delta_sw):
                 return None  # as the product waits for a first pose and report
-            config, path = configuration(self.course)
+            config, path = configuration(*self.car)
             loop = loops.car_loop(config, path, self.line, self.controller.block, doe=self.controller.element)
             self.follow = Follow.of(loop, self.line)
             resting = self.follow.resting
@@ -85,28 +85,26 @@ class ProductClient:
 LEARNS = ("nfq",)
 """Those that may learn on: they need the shipped limits (`e_max` = 2 m); the others get those that the guide recommends
 for controllers that do not learn."""
-SLOW_CLOCK = "a clock 2 % slow: stamps, counters and the delay agree"
-BEYOND = {("nfq", SLOW_CLOCK): 2.0, ("pure-pursuit", SLOW_CLOCK): 0.7}
-"""How far off the path they get where no sensor tells [m]: `e_max` bounds the e that is seen, 0.25 s late."""
 HARMLESS = 0.5
 """They have no integral action: a wheel that is 40 degrees off and says nothing of it brings them so far off [m]."""
 
 
 @cache
-def settled(name: str, course: str, where: str, speed: float, seed: int) -> Drive:
+def settled(name: str, course: str, where: str, speed: float, seed: int, kinematic: bool, vehicle: str) -> Drive:
     """A drive with that controller as far as all attacks there have in common.
 
     The human steers exactly, as a controller is only engaged that asks for the angle that the wheel has; pure pursuit
     wants another one in a bend, and is engaged on the straight before it.
     """
     none, lead = Attack("none", course=course, where=where), 45.0 if name == "pure-pursuit" else 0.0
-    client = ProductClient(name, course)
-    return Drive(none, speed=speed, seed=seed, client=client, driver=centred, lead=lead).settle()
+    client = ProductClient(name, course, vehicle)
+    return Drive(none, speed, seed, client, centred, lead, kinematic=kinematic, vehicle=vehicle).settle()
 
 
-def driven_by(name: str, attack: Attack, *, speed: float, seed: int = 0) -> Drive:
+def driven_by(
+    name: str, attack: Attack, *, speed: float, seed: int = 0, kinematic: bool = False, vehicle: str = ""
+) -> Drive:
     """A drive with that controller under attack, done."""
     if attack.course == "stadium" and name not in LEARNS:
         attack = replace(attack, course="careful")
-    attack = replace(attack, excess_max=BEYOND.get((name, attack.name), attack.excess_max))
-    return settled(name, attack.course, attack.where, speed, seed).under(attack)
+    return settled(name, attack.course, attack.where, speed, seed, kinematic, vehicle).under(attack)

@@ -35,4 +35,4 @@ def test_a_heading_that_is_askew_by_more_than_is_borne_is_not(monkeypatch: pytes
     rows = calm.lap("genesis-rfs")
     monkeypatch.setattr(calm, "lap", lambda name: {**rows, "psi": rows["psi"] + 0.02})
     played = Playback("genesis-rfs", seed=1).run(until=20.0)
-    assert "across the heading" in played.alarms[0][1]
+    assert "the heading's zero would be" in played.alarms[0][1]

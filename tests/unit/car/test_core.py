@@ -106,12 +106,13 @@ def test_the_gate_starts_from_the_wheel_as_it_is_and_a_pause_earns_nothing(side:
 def test_the_gate_reckons_with_the_faster_of_two_speeds(target: str) -> None:
     """Curvature may change by 5/v^2 a second [1/(m s)]; one of the speeds says 5.9 m/s, the other 5 m/s."""
     world = World(v=(5.0, 5.0), s=20.0)
-    world.car.faults.append(Fault(kind="speed", target=target, start=0.0, amount=0.9))
     world.bring_to(Mode.ENGAGED)
+    world.car.faults.append(Fault(kind="speed", target=target, start=world.t, amount=0.9))
+    world.until(world.t + 0.05)
     gate = world.config.gate
     world.tampered = lambda basis, delta_sw: (basis, 8.0)
     sent, began = len(world.sent), world.t
-    world.until(began + 0.3)
+    world.until(began + 0.15)
     assert world.mode is Mode.ENGAGED
     kappa = [math.tan(s.delta_sw / gate.steer_ratio) / gate.wheelbase for s in world.sent[sent - 1 :]]
     took = world.sent[-1].t - world.sent[sent - 1].t

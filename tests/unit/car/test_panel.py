@@ -3,6 +3,7 @@
 import contextlib
 import io
 import itertools
+import math
 import os
 import signal
 import time
@@ -16,7 +17,7 @@ from rich.console import Console
 from steerkit.car import panel
 from steerkit.car import session as sessions
 from steerkit.car.client import CarLost, ReplayLink
-from steerkit.car.panel import Panel, adapted_line, filter_line, stream
+from steerkit.car.panel import Panel, adapted_line, filter_line, stream, witness_line
 from steerkit.car.protocol import Adapted, Filtered, Snapshot
 from steerkit.car.state_machine import Mode, Order
 from steerkit.logs import foxglove
@@ -211,6 +212,12 @@ def test_the_picture_names_the_panel_that_engaged_and_the_way_on(monkeypatch: py
 
 def test_the_line_of_what_a_controller_that_adapts_is_told() -> None:
     assert adapted_line(Adapted(0.2144, 1.0831)) == "dead time 0.214 s, steering ratio 1.083 times the data sheet's"
+
+
+def test_what_a_lie_can_do_is_told_in_metres_and_seconds() -> None:
+    told = [witness_line(astray) for astray in (1.26, 9.99, math.inf, math.nan)]
+    assert told[0] == "a pose that lies unnoticed leads the car 0.5 m off: in 1.3 s"
+    assert [text.split(": ")[1] for text in told[1:]] == ["in 10.0 s", "not in 10 s", "not known yet"]
 
 
 def test_an_age_is_told_in_milliseconds_until_there_is_none() -> None:

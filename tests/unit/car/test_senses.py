@@ -97,6 +97,7 @@ def test_the_oldest_frame_of_a_pose_tells_its_age() -> None:
 def test_a_position_moves_with_the_speed(share: float, well: bool) -> None:
     """At `share` of 10 m/s over 0.4 s; backwards is wrong when the speed says forwards."""
     bench = Bench()
+    bench.send("STEERING_REPORT", 1.0, v_kit=10.0)
     for k in range(41):
         bench.pose(1.0 + 0.01 * k, x=10.0 + share * 0.1 * k, v=10.0, v_kit=10.0)
     if well:
@@ -108,11 +109,26 @@ def test_a_position_moves_with_the_speed(share: float, well: bool) -> None:
 
 def test_the_way_is_that_of_the_motion_frames() -> None:
     bench = Bench()
+    bench.send("STEERING_REPORT", 1.0, v_kit=10.0)
     for k in range(2):
         bench.pose(1.0 + 0.01 * k, x=10.0 + 0.1 * k, v=10.0, v_kit=10.0)
     for k in range(2, 25):  # a position may come a tenth of a second before its speed, but no more
         bench.send("POSE_POSITION", 1.0 + 0.01 * k, x=10.0 + 0.1 * k)
     assert "m along from where" in bench.senses.errors[-1][1]
+
+
+def test_how_soon_a_lie_leads_astray_is_told_once_a_second_for_the_tightest_bend_of_four_seconds_ahead() -> None:
+    bench = Bench(Path.from_waypoints([[0.0, 0.0], [100.0, 0.0], [130.0, 15.0], [130.0, 60.0]], closed=False))
+    assert math.isnan(bench.senses.astray(0.5))
+    told = []
+    for k in range(1500):
+        if k % 2 == 0:
+            bench.send("STEERING_REPORT", 1.0 + 0.01 * k)
+        bench.pose(1.0 + 0.01 * k, x=10.0 + 0.05 * k)
+        told.append(bench.senses.astray(1.0 + 0.01 * k))
+    assert not bench.senses.errors
+    assert len(set(told)) <= 15
+    assert told[0] < told[800] > 1.2 * told[-1]  # learned, and then the bend comes near
 
 
 def test_the_delay_of_the_pose_is_told_from_the_quickest_so_far() -> None:

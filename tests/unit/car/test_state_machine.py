@@ -83,6 +83,7 @@ BAD_IN: dict[str, dict[str, dict[str, Any]]] = {
         "psi_e": {"psi_e": -0.27},
         "speed": {"v": 0.4, "v_kit": 0.4},
         "kit enabled": {"foreign_enable": 1e-9},
+        "witness": {"astray": 0.19},
     },
     "foreign": {"foreign enable": {"foreign_enable": 0.1}},
     "ending": {"end of the course": {"remaining": 4.9}, "standstill": {"still_for": 1.0}},

@@ -39,6 +39,11 @@ def test_check_prints_what_is_read_and_written(run: Run) -> None:
     assert code == 0
     for word in ("STEERING_REPORT (0x65)", "STEERING_CMD (0x64)", "path     paper", "no mistakes found"):
         assert word in printed
+    bounds = re.findall(r"(\d) m/s, (straight|bend): a pose that lies unnoticed leads .* off: in (.*) s", printed)
+    seconds = [float(bound) for *_, bound in bounds]
+    assert [where for *where, _ in bounds] == [[v, where] for v in "259" for where in ("straight", "bend")]
+    assert seconds[::2] == sorted(seconds[::2], reverse=True)  # the faster, the sooner; and sooner in bends
+    assert all(0.1 < bend < straight for straight, bend in zip(seconds[::2], seconds[1::2]))
 
 
 @pytest.mark.parametrize(

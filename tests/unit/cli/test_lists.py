@@ -21,6 +21,7 @@ def test_courses_as_a_table_and_as_json(cli: Any) -> None:
 def test_a_cars_check_as_json(cli: Any) -> None:
     facts = cli("car", "check", "--json").json
     assert facts["vehicle"] == "vw-passat"
+    assert facts["astray"]["5 m/s, bend"] < facts["astray"]["5 m/s, straight"] < 10.0
     assert facts["limits"]["rate_max"] == pytest.approx(radians_of(550.0))
     assert facts["read"]["v_kit"] == {"unit": "m/s", "signal": "VEH_VEL", "gain": pytest.approx(1 / 3.6), "offset": 0.0}
 
