@@ -12,12 +12,14 @@ import numpy as np
 from steerkit._support.errors import check_numbers, number
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.estimate import Estimated
-from steerkit.vehicles.rollout import Rollout, yaw_gain
+from steerkit.vehicles.rollout import Rollout
 
 SPACING = 0.5
 """Time between two samples that every later pose is compared with, and between two steps of learning [s]."""
 HORIZON = 10.0
 """How long a sample is kept [s]."""
+LOOK = 0.1
+"""Time between two looks at what does not jump [s]."""
 READ_LATE = 0.06
 """How late a busy computer may read a frame [s]; the process that reads watches that of its own."""
 _USUAL = 0.02
@@ -111,11 +113,14 @@ class MotionCheck:
     """
 
     def __init__(self, limits: MotionLimits, car: Rollout, known: Mapping[str, Estimated] | None = None):
-        self.limits, self._car = limits, car
+        self.limits = limits
+        sizes = (car.wheelbase, car.understeer, car.steer_ratio, car.l_r, car.rear_slip, car.yaw_time)
+        self._numbers = tuple(map(float, sizes))
         jump, noise = limits.pose_jump, limits.position_noise
         self._noise = np.array([noise, noise, limits.heading_noise, limits.heading_noise])
         self._jump = np.array([jump, jump, limits.heading_jump, limits.heading_jump, jump, jump])
         self._jump += _NOISES * np.array([*self._noise, noise, noise])
+        self._step = 0.5 * jump, 0.5 * jump, 0.5 * limits.heading_jump, 0.5 * limits.heading_jump
         under = float(_UNDERSTEER[0] * abs(car.understeer) + _UNDERSTEER[1])
         deviation = np.array(
             (
@@ -146,35 +151,32 @@ class MotionCheck:
         """Begin anew, after a pause without poses; what was learned of the car stays."""
         self._t: float | None = None
         self._psi = self._tan = 0.0
-        self._added, self._rates = np.zeros(14), np.zeros(14)
+        self._added, self._rates = [0.0] * 14, [0.0] * 14
         self._last: tuple[float, float, float, float] | None = None
         self._posed, self._late = -math.inf, 0.0
-        self._anew, self._learned = True, (-math.inf, self._added, 0.0)
+        self._looked = -math.inf, (0.0, 0.0, 0.0, 0.0)
+        self._anew, self._learned = True, (-math.inf, np.zeros(14), 0.0)
         self._kept: list[tuple[float, np.ndarray, float, np.ndarray, np.ndarray]] = []
         self._stacked: tuple[np.ndarray, ...] | None = None
 
     def moves(self, t: float, *, psi: float, v: float, r: float, delta_sw: float, v_kit: float) -> None:
         """Heading, speed and yaw rate of the pose, wheel and speed of the kit at time t [SI]: added up (trapezoids)."""
-        car = self._car
-        L, K, n = float(car.wheelbase), float(car.understeer), float(car.steer_ratio)
-        delta = max(-1.2, min(1.2, delta_sw / n))
+        L, K, n, l_r, slip, yaw_time = self._numbers
         dt, first = (0.0, True) if self._t is None else (max(0.0, t - self._t), False)
-        lag = float(car.yaw_time) * max(abs(v_kit), 1.0)
-        self._tan += (math.tan(delta) - self._tan) * (1.0 if first else 1.0 - math.exp(-dt / lag))
-        gain, tan = float(yaw_gain(v_kit, L, K)), self._tan
-        rate, square = gain * tan, v_kit * v_kit
+        lag = 1.0 if first else 1.0 - math.exp(-dt / (yaw_time * max(abs(v_kit), 1.0)))
+        self._tan += (math.tan(max(-1.2, min(1.2, delta_sw / n))) - self._tan) * lag
+        tan, square, length = self._tan, v_kit * v_kit, L + K * v_kit * v_kit
+        gain = v_kit / length
+        rate = gain * tan
         self._psi = psi if first else self._psi + math.remainder(psi - self._psi, 2.0 * math.pi)
-        course = psi + (float(car.l_r) - float(car.rear_slip) * square) * tan / (L + K * square)
-        now, added = np.empty(14), self._added.copy()
-        now[:9] = (
-            *(v_kit * math.cos(course), v_kit * math.sin(course), v_kit, rate, square * rate),
-            *(gain / n * (1.0 + tan * tan), -rate * square / (L + K * square), r, v - v_kit),
-        )
-        added[:9] += 0.5 * dt * (self._rates[:9] + now[:9])
-        turned = added[_TURN]
-        now[9:] = v_kit * np.array([self._psi - turned, turned, added[_BY_WHEEL], added[_BY_UNDERSTEER], rate])
-        added[9:] += 0.5 * dt * (self._rates[9:] + now[9:])
-        self._t, self._added, self._rates = t if first else max(t, self._t or t), added, now
+        course, half = psi + (l_r - slip * square) * tan / length, 0.5 * dt
+        now = [v_kit * math.cos(course), v_kit * math.sin(course), v_kit, rate, square * rate]
+        now += gain / n * (1.0 + tan * tan), -rate * square / length, r, v - v_kit
+        added = [a + half * (b + c) for a, b, c in zip(self._added, self._rates, now)]
+        turn, by_wheel, by_understeer = added[_TURN], added[_BY_WHEEL], added[_BY_UNDERSTEER]
+        now += [v_kit * (self._psi - turn), v_kit * turn, v_kit * by_wheel, v_kit * by_understeer, v_kit * rate]
+        added += [a + half * (b + c) for a, b, c in zip(self._added[9:], self._rates[9:], now[9:])]
+        self._t, self._added, self._rates = t if self._t is None else max(t, self._t), added, now
 
     def pose(self, t: float, x: float, y: float) -> str:
         """The position at time t [s, m]: what contradicts the motion of the last seconds, or ""."""
@@ -190,36 +192,42 @@ class MotionCheck:
         across += (left_y - last_y) * cos - (left_x - last_x) * sin
         self._last = (left_x, left_y, along, across)
         self._late = max(gap, self._late - 0.5 * gap)
-        here = np.array([along, across, self._psi - self._added[_GYRO], self._psi - self._added[_TURN]])
-        what = self._against(t, here)
+        here = along, across, self._psi - self._added[_GYRO], self._psi - self._added[_TURN]
+        jumped = any([not abs(a - b) <= c for a, b, c in zip(here, self._looked[1], self._step)])  # or is no number
+        if not (jumped or t - self._looked[0] >= LOOK - 1e-9):
+            return ""
+        self._looked = t, here
+        added = np.array(self._added)
+        what = self._against(t, np.array(here), added)
         if t - self._learned[0] >= SPACING:
-            what = self._learn(t, here) or what
+            taught = self._learn(t, np.array(here), added)
+            what = what or taught
             self._kept = [one for one in self._kept if one[0] > t - HORIZON]
-            self._kept.append((t, self._added, self._rates[_TURN], self._x.copy(), self._P.copy()))
+            self._kept.append((t, added, self._rates[_TURN], self._x.copy(), self._P.copy()))
             self._stacked = tuple(np.array(column) for column in zip(*self._kept))
         if what:
             self.doubt()
         return what
 
-    def _learn(self, t: float, here: np.ndarray) -> str:
+    def _learn(self, t: float, here: np.ndarray, added: np.ndarray) -> str:
         """One step of the filter; what of it no data sheet allows, or ""."""
         x, P, noise = self._x, self._P, 2.0 * self._noise  # twice, as it hangs together for a second
         noise[0] += self._late * abs(self._rates[_WAY])
-        then, added, rate = self._learned
-        self._learned = t, self._added, self._rates[_TURN]
+        then, before, rate = self._learned
+        self._learned = t, added, self._rates[_TURN]
         if self._anew:
             self._anew, x[_N:] = False, here
             P[_N:], P[:, _N:] = 0.0, 0.0
             P[_N:, _N:] = np.diag(noise**2)
             return ""
-        span = t - then
+        span, more = t - then, added - before
         step = np.eye(_ALL)
-        step[_N:] = _effects(span, self._added - added, added, rate, self._rates[_TURN])[:4]
+        step[_N:] = _effects(span, more, before, rate, self._rates[_TURN])[:4]
         x[:] = step @ x
         P[:] = step @ P @ step.T
         P[:_N, :_N] += 2.0 * span / _LONG * self._prior
-        P[ZERO, ZERO] += _SIDE**2 * abs(self._added[_WAY] - added[_WAY])
-        P[range(_N, _ALL), range(_N, _ALL)] += self._wander(span, self._added - added)[:4]
+        P[ZERO, ZERO] += _SIDE**2 * abs(more[_WAY])
+        P[range(_N, _ALL), range(_N, _ALL)] += self._wander(span, more)[:4]
         for k, value in enumerate(here, _N):
             gain = P[:, k] / (P[k, k] + noise[k - _N] ** 2)
             x += gain * (value - x[k])
@@ -242,12 +250,12 @@ class MotionCheck:
         by_wheel = across + way**2 * turn / 3.0
         return np.stack([along, across, gyro, turn, by_wheel, along], axis=-1)
 
-    def _against(self, t: float, here: np.ndarray) -> str:
+    def _against(self, t: float, here: np.ndarray, by_now: np.ndarray) -> str:
         """What the oldest of the kept samples that contradicts this one says, or ""."""
         if self._stacked is None:
             return ""
         then, added, rate, x, P = self._stacked
-        span, more = t - then, self._added - added
+        span, more = t - then, by_now - added
         J = _effects(span, more, added, rate, self._rates[_TURN])
         now = np.tile([*here, here[1], 0.0], (len(span), 1))
         now[:, 4] += more[:, _HEADED]
@@ -255,15 +263,16 @@ class MotionCheck:
         left = now - (J @ x[:, :, None])[:, :, 0]
         most = np.tile(self._jump, (len(span), 1))
         most[:, (0, 5)] += self._late * abs(self._rates[_WAY])
-        if (np.abs(left) <= most).all():
-            return ""
-        most += _DEVIATIONS * np.sqrt(np.sum(J @ P * J, axis=2) + self._wander(span, more))
-        beyond = ~(np.abs(left) <= most)  # of a NaN too
+        i, k = np.nonzero(~(np.abs(left) <= most))  # of a NaN too; only where these are the bounds are worked out whole
+        rows, wander = J[i, k], self._wander(span, more)[i, k]
+        beyond = ~(
+            np.abs(left[i, k])
+            <= most[i, k] + _DEVIATIONS * np.sqrt(np.einsum("ma,mab,mb->m", rows, P[i], rows) + wander)
+        )
         if not beyond.any():
             return ""
-        i = int(beyond.any(axis=1).argmax())
-        k = int(beyond[i].argmax())
-        off, during = float(left[i, k]), f"{span[i]:.1f} s"
+        window, kind = int(i[beyond][0]), int(k[beyond][0])
+        off, during = float(left[window, kind]), f"{span[window]:.1f} s"
         return (
             f"the position is {off:+.2f} m along from where {during} at {self._rates[_WAY]:.1f} m/s lead",
             f"the position drifted by {off:+.2f} m across the heading in {during}",
@@ -271,7 +280,7 @@ class MotionCheck:
             f"the car turned by {degrees_of(off):+.1f} deg more than its wheel says in {during}",
             f"the position is {off:+.2f} m aside from where the wheel of {during} leads",
             f"the speed of the pose leads {off:+.2f} m further than the kit's in {during}",
-        )[k]
+        )[kind]
 
     def astray(self, v: float, kappa: float) -> float:
         """The time in which a pose that lies just below the bounds leads the car `ASTRAY` off [s]; inf: not in 10 s.
@@ -279,8 +288,8 @@ class MotionCheck:
         v [m/s], kappa [1/m]: of the car, which may be a deviation off what is believed of it, to the other side.
         """
         span = np.arange(41) * (HORIZON / 40.0)
-        K, L, n = float(self._car.understeer), float(self._car.wheelbase), float(self._car.steer_ratio)
-        gain, rates = float(yaw_gain(v, L, K)), np.zeros(14)
+        (L, K, n, *_), rates = self._numbers, np.zeros(14)
+        gain = v / (L + K * v * v)
         rates[[_WAY, _TURN, _SLIDE]] = v, v * kappa, v**3 * kappa
         rates[[_BY_WHEEL, _BY_UNDERSTEER]] = gain / n, -kappa * v**3 / (L + K * v * v)
         added = np.outer(span, rates)
