@@ -50,9 +50,9 @@ def opened(file: File, largest: int = LARGEST) -> io.BufferedReader:
 
 
 def read_bytes(file: File, largest: int = LARGEST) -> bytes:
-    """What is in a file; raises as `opened`."""
+    """What was in a file when it was opened, not what /proc/kmsg and its like go on giving; raises as `opened`."""
     with opened(file, largest) as stream:
-        return stream.read()
+        return stream.read(os.fstat(stream.fileno()).st_size)
 
 
 class Bounded(io.BufferedReader):

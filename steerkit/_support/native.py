@@ -64,7 +64,12 @@ def load(source: str, *, fused: bool = False, vector_maths: bool = False, optimi
         raise NoCompilerError(f"no C compiler found ({missing}): install gcc (or clang), or set CC")
     rounding = FUSED if fused or vector_maths else EXACT
     # those of $CC win over ours, but for the rounding; it may define always_inline away, to compile quickly
-    options = (*FLAGS, *tool[1:], *{True: ("-O3", "-Ualways_inline"), False: ("-O0",), None: ()}[optimise], *rounding)
+    options = (
+        *FLAGS,
+        *tool[1:],
+        *{True: (FLAGS[0], "-Ualways_inline"), False: ("-O0",), None: ()}[optimise],
+        *rounding,
+    )
     flags = (*options, *(["libmvec"] if vector_maths else []))
     key = hashlib.sha256("\0".join((source, _machine(tool[0]), *flags)).encode()).hexdigest()[:32]
     library = directory() / f"{key}.so"

@@ -241,3 +241,8 @@ def test_ctrl_c_while_arrays_are_written_is_ctrl_c(tmp_path: Path, monkeypatch: 
     with pytest.raises(KeyboardInterrupt):
         files.write_npz(tmp_path / "a.npz", {"a": 1.0})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_file_goes_on_giving_after_its_end_is_not_read() -> None:
+    """Those of /proc are files without a length; /proc/kmsg has none to give for a while, and never ends."""
+    assert files.read_bytes("/proc/self/status") == b""
