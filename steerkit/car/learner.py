@@ -52,7 +52,7 @@ class CarLearner:
     path: the car and its course. seed: of the nets. recovery: the name of the recovery controller. clock: see
     `steerkit.car.loop.car_loop`.
 
-    While the car is ENGAGED and the policy steers, every sample is recorded. When the recovery controller has
+    While the car is ENGAGED, every sample is recorded, and whether the policy steered. When the recovery controller has
     to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
     of its own trains on what is committed; driving goes on, and the new nets are taken over between two samples; the
     recording notes it each time. Raises ValueError for a directory that holds something else, or a run with another
@@ -105,7 +105,6 @@ class CarLearner:
             net=net,
             trainer=self.trainer,
             transitions=self.store.transitions(RUN),
-            first=self.store.next_episode(),
             also=self.store.append,
         )
         self._element = setting.element(design_model_of(config).vehicle)
@@ -151,18 +150,20 @@ class CarLearner:
             failed=fault or (engaged and sample["supervisor.tripped"] > 0.5),
             progress=sample["path.progress"],
             e=sample["path.e"],
+            engaged=engaged,
         )
+        seen = {"e": state["e"], "e_dot": state["e_dot"], "within": sample["supervisor.within"]}
         if not engaged:
             learner_state.counts.recovery = None  # the human steers
         elif not learning:
-            learner_state.recovering(t, e=state["e"], e_dot=state["e_dot"])
+            learner_state.recovering(t, **seen)
         if given_up:
             learner_state.counts.ended(t, failed=True)
         if given_up or (ended and ended.failed) or (fault and learner_state.trusted):
             learner_state.train(t, trusted=False)
         elif learning and learner_state.due():
             learner_state.train(t, trusted=True)
-        result = learner_state.take_over(t, e=state["e"], e_dot=state["e_dot"])
+        result = learner_state.take_over(t, **seen)
         taken = result is not None and result.number == learner_state.net
         if taken:
             learner_state.counts.corrected = 0

@@ -15,10 +15,12 @@ from steerkit.task import RELEASE, STOP, TRIP
 
 
 class SupervisorState(NamedTuple):
-    """Whether the learner steered in the sample before, and whether its fault is latched (0.0 or 1.0)."""
+    """Whether the learner steered in the sample before, whether its fault is latched (0.0 or 1.0), and for how long the
+    recovery controller has steered [s]."""
 
     learning: Any
     fault: Any
+    waited: Any
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,15 +29,20 @@ class Supervisor(Block):
 
         fault    = not (|learner| <= limit and ready = 1),   latched until `ready` is 0 once
         learning = ready and not fault and |e| <= trip      if the learner steered in the sample before
-        learning = ready and not fault and |e| <  release   otherwise
+        learning = ready and not fault and |e| <  within    otherwise
+        within   = min(trip, release max(1, waited/patience))
         delta_sw = learner if learning, else recovery
+
+    waited: the time for which the recovery controller has steered. One that cannot reach `release`, as its car wanders
+    more or as it swings, hands over at what it reaches.
 
     A fault is a command that is NaN or out of range, or a `ready` that is NaN, as after an exception in an
     `ExceptionGuard`.
 
     Inputs: e [m] as measured; learner, recovery [rad], both commands; ready [1], whether there is a valid policy.
     Outputs: delta_sw [rad]; learning [1]; tripped [1], 1 in the one sample in which the learner was switched off for
-    |e| > trip; fault [1]. State: learning and fault of the sample before; the run starts with the recovery controller.
+    |e| > trip; fault [1]; within [m]. State: learning and fault of the sample before, and waited [s]; the run starts
+    with the recovery controller.
     A NaN in e switches to the recovery controller. A NaN in `recovery` goes through while that steers; the gate before
     the bus refuses it.
     Raises ValueError unless 0 < release <= trip. Source: Riedmiller, Montemerlo, Dahlkamp 2007 (0.5 m and 0.1 m).
@@ -49,11 +56,14 @@ class Supervisor(Block):
     learning = Out("1")
     tripped = Out("1")
     fault = Out("1")
+    within = Out("m", direct=())
 
     trip: float = TRIP
     """|e| above which the recovery controller takes over [m]."""
     release: float = RELEASE
-    """|e| below which the learner takes over [m]."""
+    """|e| below which the learner takes over, at first [m]."""
+    patience: float = number(5.0, "s", above=0.0)
+    """Time from which that grows in proportion to the time for which the recovery controller steers [s]."""
     limit: float = number(STOP, "rad", above=0.0)
     """Largest |delta_sw| a learner may command [rad]; more is a fault."""
 
@@ -66,7 +76,7 @@ class Supervisor(Block):
         )
 
     def init(self, batch: tuple[int, ...] = ()) -> SupervisorState:
-        return SupervisorState(m.filled(0.0, batch), m.filled(0.0, batch))
+        return SupervisorState(m.filled(0.0, batch), m.filled(0.0, batch), m.filled(0.0, batch))
 
     def output(self, t: Any, x: SupervisorState, u: Any) -> Any:
         ready = u.ready > 0.5  # a NaN compares false, to whatever it is compared
@@ -74,13 +84,14 @@ class Supervisor(Block):
         fault = m.where(u.ready <= 0.5, 0.0, m.where(sane, x.fault, 1.0))
         steered = x.learning > 0.5
         distance = m.absolute(u.e)
-        near = m.where(steered, m.where(distance <= self.trip, 1.0, 0.0), m.where(distance < self.release, 1.0, 0.0))
+        within = m.minimum(self.trip, self.release * m.maximum(1.0, x.waited / self.patience))
+        near = m.where(steered, m.where(distance <= self.trip, 1.0, 0.0), m.where(distance < within, 1.0, 0.0))
         learning = m.where(m.both(ready, fault < 0.5), near, 0.0)
         tripped = m.where(steered, m.where(distance <= self.trip, 0.0, 1.0), 0.0)
-        return self.Y(m.where(learning > 0.5, u.learner, u.recovery), learning, tripped, fault)
+        return self.Y(m.where(learning > 0.5, u.learner, u.recovery), learning, tripped, fault, within)
 
     def update(self, t: Any, x: SupervisorState, u: Any, y: Any) -> SupervisorState:
-        return SupervisorState(y.learning, y.fault)
+        return SupervisorState(y.learning, y.fault, m.where(y.learning > 0.5, 0.0, x.waited + self.dt))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -175,7 +175,7 @@ class LearningRun:
             self._tell("round")
         if not learning:
             e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
-            if learner_state.recovering(self.t, e=e, e_dot=e_dot):
+            if learner_state.recovering(self.t, e=e, e_dot=e_dot, within=self._value("supervisor.within")):
                 self._tell("stuck")
         for k in range(counts.k + 1, counts.k + self.ticks):
             self.loop.advance(k, self.x, self.y)
@@ -212,7 +212,7 @@ class LearningRun:
 
     def _take_over(self) -> None:
         e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
-        result = self.learner_state.take_over(self.t, e=e, e_dot=e_dot)
+        result = self.learner_state.take_over(self.t, e=e, e_dot=e_dot, within=self._value("supervisor.within"))
         if result is None:
             return
         taken = self.learner_state.net == result.number

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy import PSI_E
 from steerkit.doe import OutputElement
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
@@ -17,6 +18,10 @@ from steerkit.task import RELEASE
 
 PATIENCE = 20.0
 """Time for which the recovery controller may steer before the run reports that it cannot hand over [s]."""
+AGAIN = 10.0
+"""Time after which what was recorded under the recovery controller is learned from again, while that steers [s]."""
+TURNED = 0.4
+"""|psi_e| from which what is recorded under the recovery controller is left out [rad]: the model of the car is linear."""
 
 
 @dataclass(kw_only=True)
@@ -55,7 +60,7 @@ class Recovery:
     nearest: float = math.inf
     """Least |e| since then [m]."""
     slowest: float = math.inf
-    """Least |e_dot| since then with |e| < RELEASE [m/s]."""
+    """Least |e_dot| since then with |e| small enough for the hand-over [m/s]."""
     report: str = ""
     """The newest line of `Counts.stuck` about it."""
 
@@ -71,7 +76,9 @@ class Counts:
     train_seconds: float = 0.0
     """Computing time really spent in training [s]; driving time is charged `setting.fit_seconds` an update."""
     trained_at: float = 0.0
-    """Distance driven at the last training [m]."""
+    """Distance driven by the learner at the last training [m]."""
+    trained_t: float = 0.0
+    """Driving time of the last training [s]."""
     driven: float = 0.0
     """Distance driven by the learner [m]."""
     first_round_begun: float | None = None
@@ -130,22 +137,24 @@ class Counts:
             episode.ended, episode.failed = t, failed
         return episode
 
-    def recovering(self, t: float, *, e: float, e_dot: float, calm: float, busy: bool) -> str | None:
+    def recovering(
+        self, t: float, *, e: float, e_dot: float, within: float, calm: float, busy: bool
+    ) -> str | None:
         """The recovery controller steers at driving time t [s]: why it does not hand over, once after each PATIENCE.
 
-        e [m], e_dot [m/s]: as the learner sees them. calm: |e_dot| below which it would [m/s]. busy: is the training
-        of the policy that is to take over still going on?
+        e [m], e_dot [m/s]: as the learner sees them. within, calm: |e| and |e_dot| below which it would [m, m/s]. busy:
+        is the training of the policy that is to take over still going on?
         """
         recovery = self.recovery = self.recovery or Recovery(began=t)
         recovery.nearest = min(recovery.nearest, abs(e))
-        if abs(e) < RELEASE:
+        if abs(e) < within:
             recovery.slowest = min(recovery.slowest, abs(e_dot))
         if t - recovery.began < PATIENCE:
             return None
-        if recovery.nearest >= RELEASE:
-            why = f"it came no nearer to the path than {recovery.nearest:.2f} m, and hands over below {RELEASE:g} m"
+        if math.isinf(recovery.slowest):
+            why = f"it came no nearer to the path than {recovery.nearest:.2f} m, and hands over below {within:.2g} m"
         elif recovery.slowest >= calm:
-            why = f"it crosses the path at {recovery.slowest:.2f} m/s at least, and hands over below {calm:g} m/s"
+            why = f"it crosses the path at {recovery.slowest:.2f} m/s at least, and hands over below {calm:.2g} m/s"
         else:
             why = "the training of the next policy is not done" if busy else "no policy is ready to take over"
         line = f"at {t:.0f} s: recovery has steered for {PATIENCE:g} s and cannot hand over: {why}"
@@ -155,8 +164,8 @@ class Counts:
 
 
 State = tuple[float, ...]
-Keep = Callable[[State, float, State, int], object]
-"""Takes a transition: s, a, s_next, number of the episode."""
+Keep = Callable[[State, float, State, int, bool], object]
+"""Takes a transition: s, a, s_next, number of the episode, whether the learner steered."""
 
 
 class Before(NamedTuple):
@@ -167,7 +176,11 @@ class Before(NamedTuple):
     s: State
     """State of the learner (SI)."""
     action: float
-    """What the learner did there [rad]."""
+    """What was done there [rad]."""
+    episode: int
+    """Its number in the record."""
+    own: bool
+    """Did the learner steer?"""
 
 
 def untrained(setting: Setting, seed: int) -> NfqPolicy:
@@ -197,12 +210,14 @@ class LearnerState:
     """What a learner has recorded and counted, when it trains, and whether it may steer; updated after each sample.
 
     setting: how it learns. seed: of the nets. policy: to begin with, and `net` its number. trainer: makes new policies
-    of what was recorded. transitions: recorded before (default: none). first: number of the first episode. also: a
-    second place that takes every transition, such as a store on disk. round_length: of a round of the course [m].
+    of what was recorded. transitions: recorded before (default: none). also: a second place that takes every
+    transition, such as a store on disk. round_length: of a round of the course [m].
 
     A policy is trusted until it fails; then the recovery controller keeps the wheel until a newer one takes over, when
     the car is calm. It is trained at each failure (`train`) and, while it drives, when it is `due`; new policies
-    `take_over` between two samples.
+    `take_over` between two samples. Where a model of the car is learned (`fit.imagined`), driving under recovery is
+    recorded for that, and the policy trained anew every AGAIN: a car that has changed is found while nobody can hand
+    over.
     """
 
     def __init__(
@@ -214,7 +229,6 @@ class LearnerState:
         trainer: Training,
         net: int = 0,
         transitions: Transitions | None = None,
-        first: int = 1,
         also: Keep | None = None,
         round_length: float = math.inf,
     ):
@@ -227,7 +241,7 @@ class LearnerState:
         """What the next sample completes to a transition."""
         self.faults: list[str] = []
         """What went wrong in training."""
-        self._first, self._also, self._round_length = first, also, round_length
+        self._also, self._round_length = also, round_length
 
     @property
     def steering(self) -> Any:
@@ -245,25 +259,32 @@ class LearnerState:
         failed: bool,
         progress: float,
         e: float,
+        engaged: bool = True,
     ) -> Episode | None:
         """Record and count sample `number`, at driving time t [s]; returns the episode that ended with it.
 
-        A transition (s, a, s_next) is two samples that follow each other without a gap, in the first of which the
-        learner steered: the sample in which the recovery controller takes over ends one and never begins one. Nothing
-        is recorded across a missing sample, or after `forget`; samples that are not finite are left out.
+        A transition (s, a, s_next) is two samples that follow each other without a gap; it is the learner's own where
+        that steered in the first of them: the sample in which the recovery controller takes over ends one and never
+        begins one. Nothing is recorded across a missing sample, or after `forget`; samples that are not finite are left
+        out. A new episode of the record begins at each such break, and where the learner takes over.
 
-        s: the learner's state (SI), of the columns `names`. action: its wish [rad]. learning: does it steer?
+        s: the learner's state (SI), of the columns `names`. action: what was done [rad]. learning: does it steer?
         failed: if not, did recovery take over? progress: along the path [m]. e: cross-track error [m], which
-        its state may hold with noise.
+        its state may hold with noise. engaged: does learner or recovery steer, and no human?
         """
-        episode = self._first + len(self.counts.episodes) - 1
         before, sound = self.before, all(map(math.isfinite, s))
-        if before is not None and before.number == number - 1 and sound:
-            row = (before.s, before.action, tuple(s), episode)
+        follows = before is not None and before.number == number - 1 and sound
+        if before is not None and follows:
+            row = (before.s, before.action, tuple(s), before.episode, before.own)
             self.transitions.append(*row)
             if self._also is not None:
                 self._also(*row)
-        self.before = Before(number, tuple(s), action) if learning and sound and math.isfinite(action) else None
+        kept = learning or (engaged and self.setting.models_recovery and abs(s[PSI_E]) < TURNED)
+        self.before = None
+        if kept and sound and math.isfinite(action):
+            last = int(self.transitions.episode[-1]) if len(self.transitions) else 0
+            same = before is not None and follows and before.own >= learning
+            self.before = Before(number, tuple(s), action, before.episode if before and same else last + 1, learning)
         if not learning:
             return self.counts.ended(t, failed=failed)
         self.counts.steered(t, progress=progress, e=e, round_length=self._round_length)
@@ -286,14 +307,16 @@ class LearnerState:
         return counts.corrected * self.policy.dt >= setting.corrected_seconds
 
     def action(self, value: Callable[[str], float], element: OutputElement) -> float:
-        """The action [rad] to record: where the filter changed the angle, the one that makes what was sent.
+        """The action [rad] to record: where another changed the angle, the one that makes what was sent.
 
         value: of a signal of the loop. element: the output element.
         """
-        setting, action = self.setting, value("controller.action")
-        if not setting.safe or setting.teaches == "chosen" or value("safety.correction") == 0.0:
-            return action
-        return element.action_for(value("safety.delta_sw"), value("doe.state"))
+        setting, sent = self.setting, "safety.delta_sw" if self.setting.safe else "supervisor.delta_sw"
+        if value("supervisor.learning") > 0.5:
+            other = setting.safe and setting.teaches != "chosen" and value("safety.correction") != 0.0
+        else:
+            other = setting.models_recovery
+        return element.action_for(value(sent), value("doe.state")) if other else value("controller.action")
 
     def due(self) -> bool:
         """Is it time to train anew while driving on?"""
@@ -307,7 +330,7 @@ class LearnerState:
         """
         counts = self.counts
         self.trusted = self.trusted and trusted
-        counts.trained_at = counts.driven
+        counts.trained_at, counts.trained_t = counts.driven, t
         if not len(self.transitions):
             return
         counts.updates += 1
@@ -315,13 +338,13 @@ class LearnerState:
         job = Job(number=counts.updates, transitions=self.transitions, problem=self.setting.problem, seed=seed)
         self.trainer.submit(job, t)
 
-    def take_over(self, t: float, *, e: float, e_dot: float) -> Result | None:
+    def take_over(self, t: float, *, e: float, e_dot: float, within: float = RELEASE) -> Result | None:
         """Let a policy that is ready take over, if now is the time; returns what came of its training, if anything.
 
-        e [m], e_dot [m/s]: as measured. A training without a result is repeated at once while recovery steers; else the
+        e [m], e_dot [m/s]: as measured. within: |e| below which the supervisor hands over [m]. A training without a result is repeated at once while recovery steers; else the
         next one comes when it is due.
         """
-        if not (self.trusted or self.calm(e, e_dot)):
+        if not (self.trusted or self.calm(e, e_dot, within)):
             return None
         result = self.trainer.poll(t)
         if result is None:
@@ -337,11 +360,22 @@ class LearnerState:
         self.policy, self.net, self.trusted = policy, result.number, True
         return result
 
-    def recovering(self, t: float, *, e: float, e_dot: float) -> str | None:
-        """The recovery controller steers at driving time t [s]: why it does not hand over, where that takes long."""
-        return self.counts.recovering(t, e=e, e_dot=e_dot, calm=self.setting.calm, busy=self.trainer.busy)
+    def recovering(self, t: float, *, e: float, e_dot: float, within: float = RELEASE) -> str | None:
+        """The recovery controller steers at driving time t [s]: why it does not hand over, where that takes long.
 
-    def calm(self, e: float, e_dot: float) -> bool:
+        within: |e| below which the supervisor hands over [m]. Every AGAIN, what was recorded is learned from.
+        """
+        waits = not self.trusted and self.setting.models_recovery and self.trainer.idle(t)
+        if waits and t - self.counts.trained_t >= AGAIN:
+            self.train(t, trusted=False)
+        calm = self._calm(within)
+        return self.counts.recovering(t, e=e, e_dot=e_dot, within=within, calm=calm, busy=self.trainer.busy)
+
+    def calm(self, e: float, e_dot: float, within: float = RELEASE) -> bool:
         """Is the car quiet enough on the path for a new net? A setting without `calm` lets the supervisor judge."""
-        limit = self.setting.calm
-        return abs(e_dot) < limit and (abs(e) < RELEASE or math.isinf(limit))
+        limit = self._calm(within)
+        return abs(e_dot) < limit and (abs(e) < within or math.isinf(limit))
+
+    def _calm(self, within: float) -> float:
+        """|e_dot| below which a new net takes over [m/s]: it grows with the |e| below which it does."""
+        return self.setting.calm * within / RELEASE

@@ -193,7 +193,7 @@ def save(run: LearningRun, place: FilePath) -> None:
         "counts": asdict(run.counts),
         "pending": pending[0] if pending else None,
         "trusted": run.learner_state.trusted,
-        "before": None if before is None else (before.s, before.action),
+        "before": None if before is None else before._asdict(),
     }
     write_text(place / "run.json", json.dumps(document, indent=1))
     for stale in (*place.glob("state-*.npz"), *place.glob("transitions-*.npz"), *place.glob("nets/steering-*.npz")):
@@ -258,8 +258,8 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
         seconds=run.experiment.setting.fit_seconds, nets=run.nets if updates else (), pending=pending
     )
     if data["before"] is not None:  # of the last sample that was driven
-        s, action = data["before"]
-        learner_state.before = Before(learner_state.counts.k // run.ticks - 1, tuple(s), action)
+        kept = data["before"]
+        learner_state.before = Before(**kept | {"s": tuple(kept["s"])})
     return run
 
 

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from steerkit._support.errors import check_numbers, known, number, require
@@ -96,10 +97,18 @@ class Setting:
         require(len(self.actions_deg) >= 2, "Setting", f"actions_deg = {self.actions_deg}, expected at least two")
         no_filter = f"after_failure = {self.after_failure!r} with safe, expected recovery"
         require(not self.safe or self.after_failure == "recovery", "Setting", no_filter)
-        invertible = element_kind(self.doe).action_for is not OutputElement.action_for
         expected = "expected an element with a method action_for (see steerkit.doe.OutputElement)"
         not_invertible = f"doe = {self.doe!r} with safe, {expected}"
-        require(invertible or not self.safe or self.teaches == "chosen", "Setting", not_invertible)
+        require(self._invertible or not self.safe or self.teaches == "chosen", "Setting", not_invertible)
+
+    @cached_property
+    def models_recovery(self) -> bool:
+        """Does it learn a model of the car, also from what another than the learner steers?"""
+        return self.fit.imagined > 0 and self._invertible
+
+    @property
+    def _invertible(self) -> bool:
+        return element_kind(self.doe).action_for is not OutputElement.action_for
 
     @property
     def actions(self) -> tuple[float, ...]:

@@ -104,6 +104,10 @@ class SimulatedTrainer:
         """Is there a job whose result is still to come?"""
         return self.pending is not None
 
+    def idle(self, t: float) -> bool:
+        """Is all done at driving time t [s], fetched or not?"""
+        return self.pending is None or t >= self.pending[0] - 1e-9
+
 
 class Trainer:
     """Trains in a process of its own, behind the loop in priority; nothing here waits for it.
@@ -196,6 +200,10 @@ class Trainer:
     def busy(self) -> bool:
         """Is there a job whose result is still to come?"""
         return bool(self._jobs)
+
+    def idle(self, t: float = 0.0) -> bool:
+        """Is all done, fetched or not?"""
+        return all(future.done() for future in self._futures)
 
     @property
     def pid(self) -> int | None:

@@ -31,12 +31,12 @@ from steerkit._support.errors import require
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
 
-APPLICATION, SCHEMA = 0x53746565, 1
+APPLICATION, SCHEMA = 0x53746565, 2
 """SQLite's application_id ("Stee") and user_version of a store."""
 TABLES = (
     "CREATE TABLE IF NOT EXISTS meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)",
     "CREATE TABLE IF NOT EXISTS run(id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE, uid TEXT NOT NULL UNIQUE)",
-    # numbers: s, a, s_next as little-endian doubles; crc: CRC-32 of them, begun with the episode
+    # numbers: s, a, s_next, own (0 or 1) as little-endian doubles; crc: CRC-32 of them, begun with the episode
     "CREATE TABLE IF NOT EXISTS transition(run INTEGER NOT NULL REFERENCES run, n INTEGER NOT NULL, "
     "episode INTEGER NOT NULL, numbers BLOB NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY(run, n)) WITHOUT ROWID",
 )
@@ -107,7 +107,7 @@ def opened(path: FilePath, names: Sequence[str] | None, *, create: bool) -> tupl
             if numbers["application_id"] != APPLICATION:
                 raise StoreError(f"{path}: an SQLite file of another program, not a transition store")
             schema = numbers["user_version"]
-            reason = "a newer steerkit wrote it, update yours" if schema > SCHEMA else "no steerkit ever wrote that"
+            reason = "a newer steerkit wrote it, update yours" if schema > SCHEMA else "use a new file"
             if schema != SCHEMA:
                 raise StoreError(f"{path}: schema {schema}, expected {SCHEMA}: {reason}")
             check = db.execute("PRAGMA quick_check(1)").fetchone()[0]
@@ -169,7 +169,7 @@ class TransitionStore:
     def __init__(self, path: Path, *, run: str | None = None, names: Sequence[str] | None = None):
         self.path, self.run = FilePath(path), run
         self.names = opened(self.path, names, create=run is not None)
-        self._pack = struct.Struct(f"<{2 * len(self.names) + 1}d").pack
+        self._pack = struct.Struct(f"<{2 * len(self.names) + 2}d").pack
         self._writer: _Writer | None = None
         if run is not None:
             with writing(self.path) as db:
@@ -180,11 +180,12 @@ class TransitionStore:
 
     # ---- writing --------------------------------------------------------------------------------------------
 
-    def append(self, s: Sequence[float], a: float, s_next: Sequence[float], episode: int) -> None:
+    def append(self, s: Sequence[float], a: float, s_next: Sequence[float], episode: int, own: bool = True) -> None:
         """Record one transition; returns at once, whatever the disk does.
 
-        s, s_next: the state's columns (SI); a: action [rad]; episode: its number within the run. Raises ValueError
-        for a wrong length or a non-finite number, StoreError when the store was opened for reading or closed.
+        s, s_next: the state's columns (SI); a: action [rad]; episode: its number within the run; own: did the
+        learner steer? Raises ValueError for a wrong length or a non-finite number, StoreError when the store was opened
+        for reading or closed.
         """
         n = len(self.names)
         if len(s) != n or len(s_next) != n:
@@ -195,7 +196,7 @@ class TransitionStore:
             columns = (*self.names, "a", *(f"{name}_next" for name in self.names))
             bad = next(f"{c} = {x}" for c, x in zip(columns, numbers) if not math.isfinite(x))
             raise ValueError(f"TransitionStore: {bad}, expected a finite number; end the episode before it")
-        row = self._pack(*numbers)
+        row = self._pack(*numbers, own)
         self._writing().waiting.append((int(episode), row, checksum(int(episode), row)))
 
     def flush(self, timeout: float = 10.0) -> None:
@@ -271,7 +272,7 @@ class TransitionStore:
             rows = self._run_of(label)
             both = len(record) and len(rows)
             shift = int(record.episode.max()) + 1 - int(rows.episode.min()) if both else 0
-            record.extend(rows.s, rows.a, rows.s_next, rows.episode + shift)
+            record.extend(rows.s, rows.a, rows.s_next, rows.episode + shift, rows.own)
         return record
 
     def _run_of(self, run: str) -> Transitions:
@@ -284,11 +285,11 @@ class TransitionStore:
             require(run in known, str(self.path), f"has no run '{run}'; valid: {', '.join(known)}")
         n = len(self.names)
         for number, (episode, numbers, crc) in enumerate(rows):
-            if len(numbers) != 8 * (2 * n + 1) or checksum(episode, numbers) != crc:
+            if len(numbers) != 8 * (2 * n + 2) or checksum(episode, numbers) != crc:
                 raise StoreError(f"{self.path}: transition {number} of run '{run}' is damaged; use a copy")
-        values = np.frombuffer(b"".join([row[1] for row in rows]), dtype="<f8").reshape(-1, 2 * n + 1)
-        record = Transitions(self.names)
-        record.extend(values[:, :n], values[:, n], values[:, n + 1 :], np.array([row[0] for row in rows], dtype=int))
+        values = np.frombuffer(b"".join([row[1] for row in rows]), dtype="<f8").reshape(-1, 2 * n + 2)
+        record, episode = Transitions(self.names), np.array([row[0] for row in rows], dtype=int)
+        record.extend(values[:, :n], values[:, n], values[:, n + 1 : -1], episode, values[:, -1])
         return record
 
 

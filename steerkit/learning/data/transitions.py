@@ -1,4 +1,4 @@
-"""Recorded transitions (s, a, s_next): all that the learner ever sees of a car."""
+"""Recorded transitions (s, a, s_next): all that the learner ever sees of a car, and who steered."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from steerkit.controllers.state_description import StateDescription
 class Transitions:
     """A growing record of transitions in contiguous arrays.
 
-    s, s_next: (n, columns) float64, SI; a: (n,) float64 [rad]; episode: (n,) int64. Consecutive rows of one episode
-    are consecutive samples; whoever records starts a new episode number at every break in time. Appending costs O(1)
-    on average: the arrays double. `s`, `a`, `s_next`, `episode` are read-only views of what is recorded so far; a view
-    taken earlier stays valid and does not grow. Non-finite rows are refused with ValueError.
+    s, s_next: (n, columns) float64, SI; a: (n,) float64 [rad]; episode: (n,) int64; own: (n,) bool, False where another
+    than the learner steered, such as the recovery controller: that teaches how the car answers, and no Q-function.
+    Consecutive rows of one episode are consecutive samples; whoever records starts a new episode number at every break
+    in time. Appending costs O(1) on average: the arrays double. The attributes of these names are read-only views of
+    what is recorded so far; a view taken earlier stays valid and does not grow. Non-finite rows are refused with ValueError.
     """
 
     def __init__(self, names: Sequence[str] = StateDescription().names):
@@ -28,7 +29,7 @@ class Transitions:
         self.names = tuple(names)
         self._n = 0
         self._s, self._s_next = np.empty((256, len(self.names))), np.empty((256, len(self.names)))
-        self._a, self._episode = np.empty(256), np.empty(256, dtype=np.int64)
+        self._a, self._episode, self._own = np.empty(256), np.empty(256, dtype=np.int64), np.empty(256, dtype=bool)
 
     def __len__(self) -> int:
         return self._n
@@ -56,12 +57,19 @@ class Transitions:
         """Episode numbers (n,)."""
         return self._view(self._episode)
 
-    def append(self, s: ArrayLike, a: float, s_next: ArrayLike, episode: int) -> None:
-        """Record one transition; raises ValueError for a wrong length or a non-finite number."""
-        self.extend(np.atleast_2d(s), [a], np.atleast_2d(s_next), [episode])
+    @property
+    def own(self) -> NDArray[np.bool_]:
+        """Did the learner steer (n,)?"""
+        return self._view(self._own)
 
-    def extend(self, s: ArrayLike, a: ArrayLike, s_next: ArrayLike, episode: ArrayLike) -> None:
-        """Record n transitions: s, s_next (n, columns), a (n,), episode (n,) or one number; all or none of them."""
+    def append(self, s: ArrayLike, a: float, s_next: ArrayLike, episode: int, own: bool = True) -> None:
+        """Record one transition; raises ValueError for a wrong length or a non-finite number."""
+        self.extend(np.atleast_2d(s), [a], np.atleast_2d(s_next), [episode], own)
+
+    def extend(
+        self, s: ArrayLike, a: ArrayLike, s_next: ArrayLike, episode: ArrayLike, own: ArrayLike = True
+    ) -> None:
+        """Record n transitions: s, s_next (n, columns), a (n,), episode, own (n,) or one each; all or none of them."""
         s, a, s_next = np.asarray(s, dtype=float), np.asarray(a, dtype=float), np.asarray(s_next, dtype=float)
         n, columns = a.size, len(self.names)
         for name, rows in (("s", s), ("s_next", s_next)):
@@ -74,29 +82,33 @@ class Transitions:
         require(bool(np.isfinite(a).all()), "Transitions", f"a = {a[~np.isfinite(a)][:1]} [rad], expected finite")
         end = self._n + n
         if end > len(self._a):
-            for name in ("_s", "_a", "_s_next", "_episode"):
+            for name in ("_s", "_a", "_s_next", "_episode", "_own"):
                 old = getattr(self, name)
                 new = np.empty((max(end, 2 * len(old)), *old.shape[1:]), dtype=old.dtype)
                 new[: self._n] = old[: self._n]
                 setattr(self, name, new)
         rows_now = slice(self._n, end)
         self._s[rows_now], self._a[rows_now], self._s_next[rows_now] = s, a, s_next
-        self._episode[rows_now] = episode
+        self._episode[rows_now], self._own[rows_now] = episode, own
         self._n = end
 
     def frozen(self) -> Transitions:
         """The rows of this moment, without a copy: recorded rows never change."""
         same = Transitions(self.names)
-        same._n, same._s, same._a, same._s_next, same._episode = self._n, self.s, self.a, self.s_next, self.episode
+        same._n, same._s, same._a, same._s_next = self._n, self.s, self.a, self.s_next
+        same._episode, same._own = self.episode, self.own
         return same
+
+    def part(self, rows: slice | NDArray[Any]) -> Transitions:
+        """Those rows alone, copied."""
+        part = Transitions(self.names)
+        part.extend(self.s[rows], self.a[rows], self.s_next[rows], self.episode[rows], self.own[rows])
+        return part
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything to one .npz file (no pickle)."""
-        write_arrays(
-            path,
-            "transitions",
-            {"names": self.names, "s": self.s, "a": self.a, "s_next": self.s_next, "episode": self.episode},
-        )
+        kept = {name: getattr(self, name) for name in ("names", "s", "a", "s_next", "episode", "own")}
+        write_arrays(path, "transitions", kept)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Transitions:
@@ -104,7 +116,7 @@ class Transitions:
         f = read_arrays(path, "transitions")
         try:
             self = cls(tuple(f["names"].tolist()))
-            self.extend(f["s"], f["a"], f["s_next"], f["episode"])
+            self.extend(f["s"], f["a"], f["s_next"], f["episode"], f["own"])
         except (ValueError, TypeError, KeyError) as why:
             raise ValueError(f"{path}: the transitions in it do not hold together: {why}") from why
         return self

@@ -36,6 +36,13 @@ AS_GOOD = 1.02
 angles can stand for a sample of it, and the process that is learned is the simpler, the less of it is left."""
 NOTHING = 1e-5
 """Turn in a sample that is as good as none [rad], for records without noise."""
+PIECE = 200
+"""Rows of the pieces in which it is asked whether the dead time has changed."""
+CHANGED = 1.25
+"""What another dead time leaves unexplained of w in one, over what its best one leaves, from which on it has. Noise
+alone moves that by some percent."""
+MATTERS = 5e-4
+"""Turn in a sample by which it has to be more besides [rad]."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 ROWS = 3000
@@ -66,10 +73,13 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
+    Of a car that has changed, what was recorded before that is left out (`since_change`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
-    best = dead_time_of(record, min(LONGEST, round(longest / dt)))
+    most = min(LONGEST, round(longest / dt))
+    record = since_change(record, most)
+    best = dead_time_of(record, most)
     part = aligned(record, best)
     model = refined(CarModel.fit(part, description, dt, fast=fast), part)
     numbers = {name: getattr(model, name) for name in (*ANSWER, "straight")}
@@ -78,12 +88,43 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     s[:, DOE] -= model.straight
     s_next[:, DOE] -= model.straight
     straightened = Transitions(COLUMNS)
-    straightened.extend(s, part.a, s_next, part.episode)
+    straightened.extend(s, part.a, s_next, part.episode, part.own)
     return Process(straightened, model, forecast)
 
 
+def since_change(record: Transitions, longest: int) -> Transitions:
+    """The newest rows: those that agree on one dead time.
+
+    From the newest piece of PIECE rows on, older ones are added, until the dead time that explains w best in all of
+    them leaves one of them explained worse than its own best dead time does, by CHANGED and MATTERS.
+    """
+    pieces: list[Array] = []
+    for end in range(len(record), 0, -PIECE):
+        errors = np.array(unexplained(record.part(slice(max(0, end - PIECE), end)), longest))
+        if len(errors) <= longest:
+            continue
+        pieces.append(errors)
+        all_of_them = np.array(pieces)
+        best = np.square(all_of_them).sum(axis=0).argmin()
+        if (all_of_them[:, best] > CHANGED * all_of_them.min(axis=1) + MATTERS).any():
+            return record.part(slice(end, None))
+    return record
+
+
 def dead_time_of(record: Transitions, longest: int) -> int:
-    """The dead time [samples], 0 to `longest`, that explains w, the course's angle to the car, best.
+    """The dead time [samples], 0 to `longest`, that explains w, the course's angle to the car, best; 0 of too few rows.
+
+    The longest of those that are as good as the best, by AS_GOOD.
+    """
+    errors = unexplained(record, longest) or [0.0]
+    best = int(np.argmin(errors))
+    while best + 1 < len(errors) and errors[best + 1] <= AS_GOOD * min(errors) + NOTHING:
+        best += 1
+    return best
+
+
+def unexplained(record: Transitions, longest: int) -> list[float]:
+    """What dead times of 0 to `longest` samples leave unexplained of w, the course's angle to the car, RMS [rad].
 
     Least squares of each dead time n, all on the same rows k, so that what they leave unexplained is compared:
 
@@ -99,16 +140,13 @@ def dead_time_of(record: Transitions, longest: int) -> int:
         if len(row) >= FEWEST:
             break
     else:
-        return 0
+        return []
     errors, doe = [], record.s_next[:, DOE]
     for n in range(most + 1):
         columns = np.column_stack((w[row], doe[row - n], doe[row - n - 1], doe[row - n - 2], np.ones(len(row))))
         coefficients, *_ = np.linalg.lstsq(columns, w[row + 1], rcond=None)
         errors.append(float(np.sqrt(np.mean((columns @ coefficients - w[row + 1]) ** 2))))
-    best = int(np.argmin(errors))
-    while best < most and errors[best + 1] <= AS_GOOD * min(errors) + NOTHING:
-        best += 1
-    return best
+    return errors
 
 
 def aligned(record: Transitions, samples: int) -> Transitions:
@@ -125,7 +163,7 @@ def aligned(record: Transitions, samples: int) -> Transitions:
     s, s_next = record.s[row + samples].copy(), record.s_next[row + samples].copy()
     s[:, DOE], s_next[:, DOE] = record.s[row, DOE], record.s_next[row, DOE]
     part = Transitions(record.names)
-    part.extend(s, record.a[row], s_next, record.episode[row])
+    part.extend(s, record.a[row], s_next, record.episode[row], record.own[row])
     return part
 
 

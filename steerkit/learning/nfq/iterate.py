@@ -262,7 +262,7 @@ def _patterns(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """What a fit learns: patterns and targets of recorded transitions, of hints, and of imagined ones."""
     setting, description = problem.fit, problem.description
-    recent = newest(transitions, setting.window)
+    recent = newest(transitions.part(transitions.own), setting.window)
     hints = goal_patterns(problem, np.random.default_rng([*seed, 0]))
     x = [problem.patterns(recent.s, recent.a), hints]
     y = [targets(problem, recent, nets), np.zeros(len(hints), dtype=np.float32)]
@@ -287,10 +287,7 @@ def newest(transitions: Transitions, count: int) -> Transitions:
     """The newest `count` transitions, all of them for 0."""
     if count == 0 or count >= len(transitions):
         return transitions
-    rows = slice(-count, None)
-    part = Transitions(transitions.names)
-    part.extend(transitions.s[rows], transitions.a[rows], transitions.s_next[rows], transitions.episode[rows])
-    return part
+    return transitions.part(slice(-count, None))
 
 
 def _fit_all(starts: Sequence[Net], x: NDArray[np.float32], y: NDArray[np.float32], epochs: int) -> list[Net]:

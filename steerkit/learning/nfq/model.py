@@ -165,7 +165,7 @@ def course_share(turned: Array, course: Array, v: Array) -> tuple[float, float]:
 def with_heading_of_yaw_rate(record: Transitions) -> Transitions:
     """The same transitions, with psi_e such that e_dot/v - psi_e is LENGTH*r/v (see `moved`); with the column kappa."""
     same = Transitions(record.names)
-    same.extend(_by_yaw_rate(record.s), record.a, _by_yaw_rate(record.s_next), record.episode)
+    same.extend(_by_yaw_rate(record.s), record.a, _by_yaw_rate(record.s_next), record.episode, record.own)
     return same
 
 
@@ -210,7 +210,9 @@ def imagine(
     The speed is drawn from the recorded range, a quarter wider at either end; e, the heading, r_e and doe are moved by
     SPREAD of the description's half ranges, mostly less; the steady bend is drawn from all that the wheel can steer.
     """
-    row = rng.integers(len(record), size=count)
+    near = np.flatnonzero(np.abs(record.s[:, E]) < description.high[E])  # recovery may have been further off
+    near = near if len(near) else np.arange(len(record))
+    row = near[rng.integers(len(near), size=count)]
     signs = np.where(np.array(description.mirror_signs) < 0.0, rng.choice([-1.0, 1.0], count)[:, None], 1.0)
     s, residual = record.s[row] * signs, record.s_next[row] - model.step(record.s, record.a, earlier_doe(record))[row]
     back = (earlier_doe(record)[row] - record.s[row, DOE]) * signs[:, DOE]
