@@ -23,6 +23,7 @@ from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.supervisor import SupervisorState
 from steerkit.controllers.with_excitation import WAVES, with_excitation
 from steerkit.diagram import realtime
 from steerkit.diagram.block import Block
@@ -99,7 +100,7 @@ class Follow:
                     run.x[k] = run.loop.blocks[name].on_standby(before[k], settled) if before else settled
             if "supervisor" in run.loop.blocks:  # the recovery controller has not waited while the human steered
                 k = run.loop.names.index("supervisor")
-                run.x[k] = run.x[k]._replace(waited=0.0)
+                run.x[k] = SupervisorState(run.x[k][0], run.x[k][1], 0.0)
         return lost
 
     def exchange(self, run: Run, driving: Loop) -> None:
@@ -107,7 +108,7 @@ class Follow:
         self.driving = driving
         if "supervisor" in driving.blocks:
             k = driving.names.index("supervisor")
-            run.x[k] = run.x[k]._replace(fault=0.0)
+            run.x[k] = SupervisorState(run.x[k][0], 0.0, run.x[k][2])
 
     def choose(self, run: Run) -> None:
         """The loop of the next sample; once a second what its controller believes of the car goes to the recording."""

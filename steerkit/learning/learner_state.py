@@ -137,9 +137,7 @@ class Counts:
             episode.ended, episode.failed = t, failed
         return episode
 
-    def recovering(
-        self, t: float, *, e: float, e_dot: float, within: float, calm: float, busy: bool
-    ) -> str | None:
+    def recovering(self, t: float, *, e: float, e_dot: float, within: float, calm: float, busy: bool) -> str | None:
         """The recovery controller steers at driving time t [s]: why it does not hand over, once after each PATIENCE.
 
         e [m], e_dot [m/s]: as the learner sees them. within, calm: |e| and |e_dot| below which it would [m, m/s]. busy:
@@ -273,8 +271,9 @@ class LearnerState:
         its state may hold with noise. engaged: does learner or recovery steer, and no human?
         """
         before, sound = self.before, all(map(math.isfinite, s))
-        follows = before is not None and before.number == number - 1 and sound
-        if before is not None and follows:
+        if before is not None and (before.number != number - 1 or not sound):
+            before = None
+        if before is not None:
             row = (before.s, before.action, tuple(s), before.episode, before.own)
             self.transitions.append(*row)
             if self._also is not None:
@@ -282,9 +281,11 @@ class LearnerState:
         kept = learning or (engaged and self.setting.models_recovery and abs(s[PSI_E]) < TURNED)
         self.before = None
         if kept and sound and math.isfinite(action):
-            last = int(self.transitions.episode[-1]) if len(self.transitions) else 0
-            same = before is not None and follows and before.own >= learning
-            self.before = Before(number, tuple(s), action, before.episode if before and same else last + 1, learning)
+            if before is not None and (before.own or not learning):
+                episode = before.episode
+            else:
+                episode = int(self.transitions.episode[-1]) + 1 if len(self.transitions) else 1
+            self.before = Before(number, tuple(s), action, episode, learning)
         if not learning:
             return self.counts.ended(t, failed=failed)
         self.counts.steered(t, progress=progress, e=e, round_length=self._round_length)
@@ -341,8 +342,8 @@ class LearnerState:
     def take_over(self, t: float, *, e: float, e_dot: float, within: float = RELEASE) -> Result | None:
         """Let a policy that is ready take over, if now is the time; returns what came of its training, if anything.
 
-        e [m], e_dot [m/s]: as measured. within: |e| below which the supervisor hands over [m]. A training without a result is repeated at once while recovery steers; else the
-        next one comes when it is due.
+        e [m], e_dot [m/s]: as measured. within: |e| below which the supervisor hands over [m]. A training without a
+        result is repeated at once while recovery steers; else the next one comes when it is due.
         """
         if not (self.trusted or self.calm(e, e_dot, within)):
             return None

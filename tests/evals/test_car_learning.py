@@ -279,7 +279,7 @@ def test_a_late_step_is_no_transition(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(on_car, "run", late)
     world = World()
     with learner_of(world, tmp_path / "run") as learner:
-        learner.learner_state.before = Before(0, (0.0,) * 6, 0.0)
+        learner.learner_state.before = Before(0, (0.0,) * 6, 0.0, 1, True)
         learner.run(1.0)
         assert learner.learner_state.before is None
     assert world.misses == 3

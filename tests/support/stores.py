@@ -8,15 +8,14 @@ from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.data.transitions import Transitions
 
 AWKWARD = (-0.0, 5e-324, 0.1 + 0.2, -1e300, 1.0, -3.5)
-ARRAYS = ("s", "a", "s_next", "episode")
+ARRAYS = ("s", "a", "s_next", "episode", "own")
 
 
 def drive(n: int, seed: int = 0, first_episode: int = 1) -> Transitions:
     rng = np.random.default_rng(seed)
     record = Transitions()
-    record.extend(
-        rng.normal(size=(n, 6)), rng.normal(size=n), rng.normal(size=(n, 6)), first_episode + np.arange(n) // 10
-    )
+    s, a, s_next = rng.normal(size=(n, 6)), rng.normal(size=n), rng.normal(size=(n, 6))
+    record.extend(s, a, s_next, first_episode + np.arange(n) // 10, np.arange(n) % 3 > 0)
     return record
 
 
@@ -32,5 +31,5 @@ def kept(path: Path, record: Transitions, run: str = "a") -> Path:
 
 def fill(store: TransitionStore, record: Transitions) -> None:
     """Append all of a record."""
-    for row in zip(record.s.tolist(), record.a.tolist(), record.s_next.tolist(), record.episode.tolist()):
+    for row in zip(*(getattr(record, name).tolist() for name in ARRAYS)):
         store.append(*row)

@@ -66,9 +66,7 @@ class Transitions:
         """Record one transition; raises ValueError for a wrong length or a non-finite number."""
         self.extend(np.atleast_2d(s), [a], np.atleast_2d(s_next), [episode], own)
 
-    def extend(
-        self, s: ArrayLike, a: ArrayLike, s_next: ArrayLike, episode: ArrayLike, own: ArrayLike = True
-    ) -> None:
+    def extend(self, s: ArrayLike, a: ArrayLike, s_next: ArrayLike, episode: ArrayLike, own: ArrayLike = True) -> None:
         """Record n transitions: s, s_next (n, columns), a (n,), episode, own (n,) or one each; all or none of them."""
         s, a, s_next = np.asarray(s, dtype=float), np.asarray(a, dtype=float), np.asarray(s_next, dtype=float)
         n, columns = a.size, len(self.names)

@@ -12,7 +12,7 @@ from steerkit.controllers.delay_compensator import ANSWER, LENGTH, SLOWEST, Cour
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
-from steerkit.task import DT
+from steerkit.task import DT, TRIP
 
 Array = NDArray[np.float64]
 
@@ -207,10 +207,11 @@ def imagine(
 ) -> Imagined:
     """`count` states: recorded ones, mirrored at random, at another speed, moved a little, in another steady bend.
 
+    Those recorded under the recovery controller count within TRIP of the path: further off the learner never steers.
     The speed is drawn from the recorded range, a quarter wider at either end; e, the heading, r_e and doe are moved by
     SPREAD of the description's half ranges, mostly less; the steady bend is drawn from all that the wheel can steer.
     """
-    near = np.flatnonzero(np.abs(record.s[:, E]) < description.high[E])  # recovery may have been further off
+    near = np.flatnonzero(record.own | (np.abs(record.s[:, E]) < TRIP))
     near = near if len(near) else np.arange(len(record))
     row = near[rng.integers(len(near), size=count)]
     signs = np.where(np.array(description.mirror_signs) < 0.0, rng.choice([-1.0, 1.0], count)[:, None], 1.0)

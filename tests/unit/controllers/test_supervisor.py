@@ -29,7 +29,7 @@ def drive(e: Any = (0.0,), learner: Any = ON, ready: Any = ON, recovery: Any = (
     scripts = {name: Script(values=tuple(map(float, values))) for name, values in signals.items()}
     ports = dict(e="length", learner="angle", recovery="angle", ready="flag")
     wires = [(getattr(scripts[name], port), getattr(supervisor, name)) for name, port in ports.items()]
-    record = [f"supervisor.{name}" for name in ("delta_sw", "learning", "tripped", "fault")]
+    record = [f"supervisor.{name}" for name in ("delta_sw", "learning", "tripped", "fault", "within")]
     loop = Loop(blocks={**scripts, "supervisor": supervisor}, wires=wires)
     return simulate(loop, max(map(len, (e, learner, ready))) * 0.05, record=record, allow_nonfinite=True)
 
@@ -86,12 +86,13 @@ def test_a_broken_recovery_is_not_hidden_while_it_steers() -> None:
     ready=st.sampled_from([0.0, 1.0]),
     before=st.sampled_from([0.0, 1.0]),
     fault=st.sampled_from([0.0, 1.0]),
+    waited=st.floats(0.0, 100.0),
 )
 def test_what_is_steered_is_always_sane(
-    e: float, learner: float, recovery: float, ready: float, before: float, fault: float
+    e: float, learner: float, recovery: float, ready: float, before: float, fault: float, waited: float
 ) -> None:
     supervisor = Supervisor()
-    y = supervisor.output(0.0, SupervisorState(before, fault), supervisor.D(e, learner, recovery, ready))
+    y = supervisor.output(0.0, SupervisorState(before, fault, waited), supervisor.D(e, learner, recovery, ready))
     assert abs(y.delta_sw) <= radians_of(520.0) * (1.0 + 1e-9)
     assert y.delta_sw == (learner if y.learning == 1.0 else recovery)
     if y.learning == 1.0:
@@ -99,6 +100,17 @@ def test_what_is_steered_is_always_sane(
         assert y.fault == 0.0
         assert abs(e) <= 0.5
     assert {y.learning, y.tripped, y.fault} <= {0.0, 1.0}
+
+
+def test_the_longer_recovery_steers_the_further_off_it_hands_over() -> None:
+    """Not nearer than 0.25 m: it hands over when it has steered for 12.5 s, and never beyond the trip."""
+    log = drive(e=[0.3] * 150 + [0.2505] * 200)
+    assert log["supervisor.learning"].tolist() == [0] * 251 + [1] * 99
+    np.testing.assert_allclose(log["supervisor.within"][[0, 100, 200, 251, 252]], [0.1, 0.1, 0.2, 0.251, 0.1])
+    far = drive(e=[0.51] * 900 + [0.5] * 2 + [0.49])
+    assert far["supervisor.within"].max() == 0.5
+    assert far["supervisor.learning"].tolist() == [0] * 902 + [1]
+    assert drive(e=[NAN] * 900)["supervisor.learning"].max() == 0.0
 
 
 def test_thresholds_are_within_their_ranges() -> None:

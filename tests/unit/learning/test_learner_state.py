@@ -14,8 +14,10 @@ from steerkit.learning.learner_state import LearnerState, untrained
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import DEFAULT
 from steerkit.learning.trainer import Job, Result
+from tests.support.records import chain
 
 HOW = replace(DEFAULT, fit=FitSetting(nets=1), retrain_every_m=5.0, calm=0.3)
+MODELS = replace(HOW, fit=FitSetting(nets=1, imagined=10))
 BETTER = untrained(HOW, seed=9).nets
 
 
@@ -26,6 +28,9 @@ class InHand:
         self.jobs: list[Job] = []
         self.result: Result | None = None
         self.busy = False
+
+    def idle(self, t: float) -> bool:
+        return not self.busy or self.result is not None
 
     def submit(self, job: Job, t: float) -> None:
         self.jobs.append(job)
@@ -49,13 +54,15 @@ class Fed:
         given: dict[str, Any] = {"setting": HOW, "seed": 2, "policy": untrained(HOW, 2), "trainer": self.trainer}
         self.learner_state = LearnerState(**given | options)
 
-    def drive(self, samples: int, *, learning: bool = True, failed: bool = False) -> Any:
+    def drive(
+        self, samples: int, *, learning: bool = True, failed: bool = False, psi_e: float = 0.0, engaged: bool = True
+    ) -> Any:
         for _ in range(samples):
             self.number += 1
             self.progress += 1.0
-            s = (0.01 * self.number, 0.0, 5.0, 0.0, 0.0, 0.0)
+            s, steers = (0.01 * self.number, 0.0, 5.0, psi_e, 0.0, 0.0), {"learning": learning, "engaged": engaged}
             ended = self.learner_state.sample(
-                self.number, 0.05 * self.number, s, 0.1, learning=learning, failed=failed, progress=self.progress, e=0.2
+                self.number, 0.05 * self.number, s, 0.1, failed=failed, progress=self.progress, e=0.2, **steers
             )
         return ended
 
@@ -65,15 +72,58 @@ class Fed:
 
 def test_what_is_recorded_goes_to_both_places_under_the_episode_s_number() -> None:
     also: list[Any] = []
-    fed = Fed(first=4, also=lambda *row: also.append(row))
+    fed = Fed(transitions=chain([0.0, 0.0], [3]), also=lambda *row: also.append(row))
     fed.drive(3)
     assert fed.drive(1, learning=False, failed=True).failed
     fed.drive(2, learning=False)
     fed.drive(2)
     record = fed.learner_state.transitions
-    assert record.episode.tolist() == [4, 4, 4, 5] == [row[3] for row in also]
-    assert record.s.tolist() == [list(row[0]) for row in also]
-    assert record.s_next[:, 0].tolist() == [0.02, 0.03, 0.04, 0.08]
+    assert record.episode.tolist()[1:] == [4, 4, 4, 5] == [row[3] for row in also]
+    assert record.s.tolist()[1:] == [list(row[0]) for row in also]
+    assert record.s_next[1:, 0].tolist() == [0.02, 0.03, 0.04, 0.08]
+    assert record.own.all()
+
+
+def test_where_a_model_is_learned_driving_under_recovery_is_recorded_for_it_and_not_what_a_human_does() -> None:
+    also: list[Any] = []
+    fed = Fed(setting=MODELS, also=lambda *row: also.append(row))
+    fed.drive(2, learning=False)
+    fed.drive(3)
+    fed.drive(2, learning=False, failed=True)
+    fed.drive(1, learning=False, psi_e=0.5)  # so far turned that no linear model holds
+    fed.drive(3, learning=False)
+    fed.drive(2, learning=False, engaged=False)
+    fed.drive(2)
+    record = fed.learner_state.transitions
+    assert record.episode.tolist() == [1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 4]  # a stretch without a break, or of the learner
+    assert record.own.tolist() == [False] * 2 + [True] * 3 + [False] * 5 + [True] == [row[4] for row in also]
+    follows = record.episode[1:] == record.episode[:-1]
+    np.testing.assert_array_equal(record.s[1:][follows], record.s_next[:-1][follows])
+
+
+def test_while_recovery_steers_it_is_trained_every_ten_seconds() -> None:
+    """And not on a record to which nothing is added."""
+    for setting, jobs in ((MODELS, 4), (HOW, 1)):
+        fed = Fed(setting=setting)
+        fed.drive(2)
+        fed.learner_state.train(100.0, trusted=False)
+        for k in range(1, 800):
+            fed.drive(1, learning=False)
+            fed.learner_state.recovering(100.0 + 0.05 * k, e=1.0, e_dot=0.0)
+            if k in (150, 250, 500):  # the second training takes 2.5 s, the third 15
+                fed.trainer.done()
+        assert len(fed.trainer.jobs) == jobs
+        assert not fed.learner_state.trusted
+
+
+def test_the_further_off_it_may_take_over_the_faster_the_car_may_be() -> None:
+    for e, e_dot, taken in ((0.29, 0.89, True), (0.31, 0.0, False), (0.0, 0.91, False)):
+        fed = Fed()
+        fed.drive(2)
+        fed.learner_state.train(0.0, trusted=False)
+        fed.trainer.done()
+        fed.learner_state.take_over(0.0, e=e, e_dot=e_dot, within=0.3)
+        assert fed.learner_state.trusted is taken
 
 
 def test_it_goes_on_with_what_was_recorded_before() -> None:

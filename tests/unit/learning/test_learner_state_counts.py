@@ -59,7 +59,7 @@ def test_a_round_is_driven_within_one_episode() -> None:
 def recovery(counts: Counts, seconds: float, *, e: float, e_dot: float, busy: bool = False) -> list[str]:
     """What is said while recovery steers for so long from t = 100 s on, 20 samples a second."""
     lines = [
-        counts.recovering(100.0 + 0.05 * k, e=e, e_dot=e_dot, calm=0.3, busy=busy)
+        counts.recovering(100.0 + 0.05 * k, e=e, e_dot=e_dot, within=0.1, calm=0.3, busy=busy)
         for k in range(round(20 * seconds) + 1)
     ]
     return [line for line in lines if line]
@@ -84,5 +84,5 @@ def test_a_learner_that_steers_ends_the_recovery() -> None:
     assert recovery(counts, 15.0, e=1.0, e_dot=0.0) == []
     driven(counts, 0.0, t=115.0)
     assert counts.recovery is None
-    assert counts.recovering(116.0, e=1.0, e_dot=0.0, calm=0.3, busy=False) is None
-    assert counts.recovering(130.0, e=1.0, e_dot=0.0, calm=0.3, busy=False) is None
+    assert counts.recovering(116.0, e=1.0, e_dot=0.0, within=0.1, calm=0.3, busy=False) is None
+    assert counts.recovering(130.0, e=1.0, e_dot=0.0, within=0.1, calm=0.3, busy=False) is None

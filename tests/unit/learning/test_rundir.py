@@ -91,7 +91,7 @@ def test_a_run_goes_on_from_any_of_its_trainings_with_the_same_numbers(name: str
             killed.drive()
         halves += killed.learner_state.before is not None
         resumed = learn(experiment, place)
-        for rows in ("s", "a", "s_next", "episode"):
+        for rows in ("s", "a", "s_next", "episode", "own"):
             np.testing.assert_array_equal(getattr(resumed.transitions, rows), getattr(whole.transitions, rows))
         assert replace(resumed.counts, train_seconds=0.0) == replace(whole.counts, train_seconds=0.0)
         assert resumed.x == whole.x
@@ -126,7 +126,7 @@ def test_a_run_resumed_at_any_checkpoint_is_the_run_that_went_on(tmp_path: Path)
         assert len(again.transitions) < len(run.transitions)
         while not again.done():
             again.drive()
-        for name in ("s", "a", "s_next", "episode"):
+        for name in ("s", "a", "s_next", "episode", "own"):
             np.testing.assert_array_equal(getattr(again.transitions, name), getattr(run.transitions, name))
         assert again.counts.episodes == run.counts.episodes
         assert again.counts.updates == run.counts.updates

@@ -39,7 +39,11 @@ def test_missing_empty_and_foreign_files_are_refused_and_left_alone(tmp_path: Pa
 def test_another_schema_and_other_names_are_refused(tmp_path: Path) -> None:
     path = kept(tmp_path / "t.db", drive(20))
     refused(path, "holds the columns e, e_dot, .*expected e, v; use a new file", names=("e", "v"))
-    for schema, why in ((2, "schema 2, expected 1: a newer steerkit wrote it, update yours"), (0, "schema 0")):
+    newer, older = (
+        "schema 3, expected 2: a newer steerkit wrote it, update yours",
+        "schema 1, expected 2: use a new file",
+    )
+    for schema, why in ((3, newer), (1, older), (0, "schema 0")):
         with sqlite3.connect(path) as db:
             db.execute(f"PRAGMA user_version = {schema}")
         db.close()

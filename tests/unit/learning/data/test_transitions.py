@@ -13,7 +13,8 @@ from steerkit.learning.data.transitions import Transitions
 def filled(n: int, seed: int = 0) -> Transitions:
     rng = np.random.default_rng(seed)
     record = Transitions()
-    record.extend(rng.normal(size=(n, 6)), rng.normal(size=n), rng.normal(size=(n, 6)), np.arange(n) // 10)
+    s, a, s_next = rng.normal(size=(n, 6)), rng.normal(size=n), rng.normal(size=(n, 6))
+    record.extend(s, a, s_next, np.arange(n) // 10, np.arange(n) % 3 > 0)
     return record
 
 
@@ -25,10 +26,10 @@ def test_rows_come_back_in_order_however_they_were_added(counts: list[int]) -> N
     at = 0
     for count in counts:
         rows = slice(at, at + count)
-        parts.extend(whole.s[rows], whole.a[rows], whole.s_next[rows], whole.episode[rows])
+        parts.extend(whole.s[rows], whole.a[rows], whole.s_next[rows], whole.episode[rows], whole.own[rows])
         at += count
     assert len(parts) == n
-    for name in ("s", "a", "s_next", "episode"):
+    for name in ("s", "a", "s_next", "episode", "own"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 
