@@ -16,7 +16,7 @@ from steerkit.task import RELEASE, STOP, TRIP
 
 class SupervisorState(NamedTuple):
     """Whether the learner steered in the sample before, whether its fault is latched (0.0 or 1.0), and for how long the
-    recovery controller has steered [s]."""
+    recovery controller has been too far off to hand over [s]."""
 
     learning: Any
     fault: Any
@@ -33,8 +33,8 @@ class Supervisor(Block):
         within   = min(trip, release max(1, waited/patience))
         delta_sw = learner if learning, else recovery
 
-    waited: the time for which the recovery controller has steered. One that cannot reach `release`, as its car wanders
-    more or as it swings, hands over at what it reaches.
+    waited: the time for which the recovery controller has steered with |e| >= release, less that with |e| < release, 0
+    at least. One that cannot stay there, as its car wanders more or as it swings, hands over at what it reaches.
 
     A fault is a command that is NaN or out of range, or a `ready` that is NaN, as after an exception in an
     `ExceptionGuard`.
@@ -63,7 +63,7 @@ class Supervisor(Block):
     release: float = RELEASE
     """|e| below which the learner takes over, at first [m]."""
     patience: float = number(5.0, "s", above=0.0)
-    """Time from which that grows in proportion to the time for which the recovery controller steers [s]."""
+    """Value of `waited` from which that grows in proportion to it [s]."""
     limit: float = number(STOP, "rad", above=0.0)
     """Largest |delta_sw| a learner may command [rad]; more is a fault."""
 
@@ -91,7 +91,8 @@ class Supervisor(Block):
         return self.Y(m.where(learning > 0.5, u.learner, u.recovery), learning, tripped, fault, within)
 
     def update(self, t: Any, x: SupervisorState, u: Any, y: Any) -> SupervisorState:
-        return SupervisorState(y.learning, y.fault, m.where(y.learning > 0.5, 0.0, x.waited + self.dt))
+        waited = m.where(m.absolute(u.e) < self.release, m.maximum(0.0, x.waited - self.dt), x.waited + self.dt)
+        return SupervisorState(y.learning, y.fault, m.where(y.learning > 0.5, 0.0, waited))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -21,7 +21,7 @@ PATIENCE = 20.0
 AGAIN = 10.0
 """Time after which what was recorded under the recovery controller is learned from again, while that steers [s]."""
 TURNED = 0.4
-"""|psi_e| from which what is recorded under the recovery controller is left out [rad]: the model of the car is linear."""
+"""|psi_e| from which driving under the recovery controller is not recorded [rad]: the model of the car is linear."""
 
 
 @dataclass(kw_only=True)

@@ -111,6 +111,9 @@ def test_the_longer_recovery_steers_the_further_off_it_hands_over() -> None:
     assert far["supervisor.within"].max() == 0.5
     assert far["supervisor.learning"].tolist() == [0] * 902 + [1]
     assert drive(e=[NAN] * 900)["supervisor.learning"].max() == 0.0
+    waits = drive(e=[0.4] * 200 + [0.05] * 150 + [0.2] * 10, ready=[0.0] * 350 + [1.0])  # nobody was ready to take over
+    np.testing.assert_allclose(waits["supervisor.within"][[200, 250, 300, 359]], [0.2, 0.15, 0.1, 0.1])
+    assert waits["supervisor.learning"].max() == 0.0
 
 
 def test_thresholds_are_within_their_ranges() -> None:
