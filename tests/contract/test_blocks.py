@@ -164,7 +164,7 @@ EXAMPLES = [
     Example(Tap(unit="rad")),
     Example(Tap(unit="rad", cut=True), blind=("u",)),
     Example(Supervisor(), blind=("e", "ready")),
-    Example(Supervisor(), state=SupervisorState(1.0, 0.0), blind=("recovery",)),
+    Example(Supervisor(), state=SupervisorState(1.0, 0.0, 0.0), blind=("recovery",)),
     *map(Example, (ExceptionGuard(block=Integrator()), ExceptionGuard(block=PathTracker(path=OVAL, preview_points=2)))),
     *map(Example, (NfqPolicy(nets=NETS), NfqPolicy(nets=NETS, combine="max", ready_from=0.1))),
     Example(NfqPolicy(nets=NETS, combine="disagreement")),

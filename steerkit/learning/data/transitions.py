@@ -21,7 +21,8 @@ class Transitions:
     than the learner steered, such as the recovery controller: that teaches how the car answers, and no Q-function.
     Consecutive rows of one episode are consecutive samples; whoever records starts a new episode number at every break
     in time. Appending costs O(1) on average: the arrays double. The attributes of these names are read-only views of
-    what is recorded so far; a view taken earlier stays valid and does not grow. Non-finite rows are refused with ValueError.
+    what is recorded so far; a view taken earlier stays valid and does not grow. Non-finite rows are refused with
+    ValueError.
     """
 
     def __init__(self, names: Sequence[str] = StateDescription().names):
