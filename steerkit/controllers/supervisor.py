@@ -33,8 +33,8 @@ class Supervisor(Block):
         within   = min(trip, release max(1, waited/patience))
         delta_sw = learner if learning, else recovery
 
-    waited: the time for which the recovery controller has steered with |e| >= release, less that with |e| < release, 0
-    at least. One that cannot stay there, as its car wanders more or as it swings, hands over at what it reaches.
+    waited: the time for which the recovery controller has steered with |e| >= release, less all other time, 0 at least.
+    One that cannot stay within `release`, as its car wanders more or as it swings, hands over at what it reaches.
 
     A fault is a command that is NaN or out of range, or a `ready` that is NaN, as after an exception in an
     `ExceptionGuard`.
@@ -91,8 +91,9 @@ class Supervisor(Block):
         return self.Y(m.where(learning > 0.5, u.learner, u.recovery), learning, tripped, fault, within)
 
     def update(self, t: Any, x: SupervisorState, u: Any, y: Any) -> SupervisorState:
-        waited = m.where(m.absolute(u.e) < self.release, m.maximum(0.0, x.waited - self.dt), x.waited + self.dt)
-        return SupervisorState(y.learning, y.fault, m.where(y.learning > 0.5, 0.0, waited))
+        fine = m.where(m.absolute(u.e) < self.release, 1.0, y.learning)
+        waited = m.where(fine > 0.5, m.maximum(0.0, x.waited - self.dt), x.waited + self.dt)
+        return SupervisorState(y.learning, y.fault, waited)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

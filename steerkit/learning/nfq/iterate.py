@@ -241,6 +241,8 @@ def iterate(
     """
     where, setting, names = "nfq.iterate", problem.fit, problem.description.names
     require(len(transitions) > 0, where, "no transitions, expected at least one; drive (or load) an episode first")
+    own = bool(transitions.own.any()) or setting.imagined > 0
+    require(own, where, "no transitions of the learner's own, expected at least one where none are imagined")
     require(transitions.names == names, where, f"transitions of {transitions.names}, but the description has {names}")
     layouts = [sizes_of(net) for net in nets_before]
     fits = all(layout == problem.sizes for layout in layouts)

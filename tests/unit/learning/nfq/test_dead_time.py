@@ -10,7 +10,7 @@ from steerkit.controllers.delay_compensator import LENGTH
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of, refined
+from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of, refined, since_change
 from steerkit.learning.nfq.iterate import FitSetting, Learned, Problem, update
 from steerkit.learning.nfq.model import CarModel, with_heading_of_yaw_rate
 from steerkit.learning.nfq.rprop import Fit
@@ -107,6 +107,35 @@ def test_a_record_too_short_for_a_dead_time_is_taken_to_have_none_or_one_that_it
     assert begun(60) == 6
 
 
+def after(*parts: Transitions) -> Transitions:
+    """Records one after the other, each in episodes of its own."""
+    record = Transitions(parts[0].names)
+    for part in parts:
+        begun = int(record.episode[-1]) + 1 if len(record) else 0
+        record.extend(part.s, part.a, part.s_next, part.episode + begun, part.own)
+    return record
+
+
+@pytest.mark.parametrize(("before", "now"), [(2, 8), (8, 2), (0, 3)])
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_of_a_car_whose_dead_time_has_changed_the_older_record_is_left_out(before: int, now: int, noise: float) -> None:
+    old, new = late(before, n=1800, noise=noise), late(now, n=600, noise=noise, seed=1)
+    record = after(old, new)
+    assert dead_time_of(since_change(record, 12), 12) == now != dead_time_of(record, 12)
+    assert 400 <= len(since_change(record, 12)) <= 800
+    calm = changed(late(now, n=1200, seed=2), **dict.fromkeys(("e_dot", "psi_e", "r_e", "doe", "kappa"), 1e-3))
+    assert dead_time_of(since_change(after(record, calm), 12), 12) == now  # they do not bring the old rows back
+
+
+@pytest.mark.parametrize(("car", "speeds"), [(CAR, (4.0, 7.0)), (FAST, (12.0, 24.0))])
+def test_of_a_car_that_has_not_changed_the_whole_record_counts(car: CarModel, speeds: tuple[float, float]) -> None:
+    for samples in (0, 4, 9):
+        for noise in (0.0, 0.003, 0.02):
+            record = late(samples, car=car, speeds=speeds, n=1500, noise=noise, straight=0.05)
+            record = with_heading_of_yaw_rate(record) if car.fast else record
+            assert since_change(record, 12) is record
+
+
 @pytest.mark.parametrize("samples", [0, 6])
 def test_a_fast_car_is_told_by_its_yaw_rate_and_not_by_its_axis(samples: int) -> None:
     found = process_of(late(samples, car=FAST, speeds=(12.0, 24.0), n=1200), DESCRIPTION, 0.6)
@@ -146,7 +175,7 @@ def test_what_is_aligned_is_the_process_without_dead_time() -> None:
 def changed(record: Transitions, **factors: float) -> Transitions:
     """The record with some columns of its states multiplied."""
     part, scale = Transitions(record.names), np.array([factors.get(name, 1.0) for name in record.names])
-    part.extend(record.s * scale, record.a, record.s_next * scale, record.episode)
+    part.extend(record.s * scale, record.a, record.s_next * scale, record.episode, record.own)
     return part
 
 

@@ -56,6 +56,19 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, np.ndarray
     return seen
 
 
+def test_what_another_than_the_learner_did_is_no_action_of_its_own() -> None:
+    whole, own = recorded(60), recorded(60)
+    whole.extend(whole.s, -whole.a, whole.s_next, whole.episode + 100, False)
+    (one,), (other,) = (iterate(record, problem(epochs=20, n_step=3)) for record in (own, whole))
+    np.testing.assert_array_equal(one[0], other[0])
+    others = Transitions()
+    others.extend(own.s, own.a, own.s_next, own.episode, False)
+    (net,) = iterate(others, problem(epochs=20, n_step=3, imagined=50), [one])  # they teach how the car answers
+    assert np.isfinite(net[0]).all()
+    with pytest.raises(ValueError, match="no transitions of the learner's"):
+        iterate(others, problem())
+
+
 def test_without_nets_the_target_is_the_cost() -> None:
     record = chain([0.0, 0.1, 0.2, 0.7], [0, 0, 0])
     assert targets(problem(), record) == pytest.approx([0.01, 0.01, 1.0])

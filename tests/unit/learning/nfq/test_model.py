@@ -114,6 +114,14 @@ def test_imagined_states_cover_all_bends_and_carry_what_the_model_missed() -> No
     assert abs(near.residual[:, 0].mean()) < 0.002  # both sides of the mirror
 
 
+def test_a_learner_is_not_imagined_where_recovery_alone_has_been() -> None:
+    record = driven()
+    record.extend(
+        record.s + [2.0, 0, 0, 0, 0, 0], record.a, record.s_next + [2.0, 0, 0, 0, 0, 0], record.episode, False
+    )
+    assert np.abs(imagine(CAR, record, STANDARD, 4000, np.random.default_rng(0)).s[:, 0]).max() < 1.5
+
+
 def test_imagined_targets_by_hand() -> None:
     cost = TanhCost(goal=0.1, step=0.04, action_cost=0.01)
     asked = Problem(actions=ACTIONS, cost=cost, fit=FitSetting(discount=0.9, horizon=3))
