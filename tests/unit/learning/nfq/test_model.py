@@ -115,10 +115,8 @@ def test_imagined_states_cover_all_bends_and_carry_what_the_model_missed() -> No
 
 
 def test_a_learner_is_not_imagined_where_recovery_alone_has_been() -> None:
-    record = driven()
-    record.extend(
-        record.s + [2.0, 0, 0, 0, 0, 0], record.a, record.s_next + [2.0, 0, 0, 0, 0, 0], record.episode, False
-    )
+    record, aside = driven(), np.array([2.0, 0, 0, 0, 0, 0])
+    record.extend(record.s + aside, record.a, record.s_next + aside, record.episode, False)
     assert np.abs(imagine(CAR, record, STANDARD, 4000, np.random.default_rng(0)).s[:, 0]).max() < 1.5
 
 
