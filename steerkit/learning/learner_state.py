@@ -373,9 +373,13 @@ class LearnerState:
         return self.counts.recovering(t, e=e, e_dot=e_dot, within=within, calm=calm, busy=self.trainer.busy)
 
     def calm(self, e: float, e_dot: float, within: float = RELEASE) -> bool:
-        """Is the car quiet enough on the path for a new net? A setting without `calm` lets the supervisor judge."""
+        """Is the car quiet enough on the path for a new net, or beside it and on its way there?
+
+        A setting without `calm` lets the supervisor judge.
+        """
         limit = self._calm(within)
-        return abs(e_dot) < limit and (abs(e) < within or math.isinf(limit))
+        near = abs(e) < within and (abs(e) < RELEASE or e * e_dot <= 0.0)
+        return abs(e_dot) < limit and (near or math.isinf(limit))
 
     def _calm(self, within: float) -> float:
         """|e_dot| below which a new net takes over [m/s]: it grows with the |e| below which it does."""

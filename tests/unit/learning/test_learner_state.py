@@ -117,7 +117,9 @@ def test_while_recovery_steers_it_is_trained_every_ten_seconds() -> None:
 
 
 def test_the_further_off_it_may_take_over_the_faster_the_car_may_be() -> None:
-    for e, e_dot, taken in ((0.29, 0.89, True), (0.31, 0.0, False), (0.0, 0.91, False)):
+    """And then only on its way to the path."""
+    within = ((0.29, -0.89, True), (-0.29, 0.89, True), (0.09, 0.89, True), (0.29, 0.0, True))
+    for e, e_dot, taken in (*within, (0.29, 0.1, False), (-0.29, -0.1, False), (0.31, 0.0, False), (0.0, 0.91, False)):
         fed = Fed()
         fed.drive(2)
         fed.learner_state.train(0.0, trusted=False)
