@@ -23,7 +23,7 @@ except ImportError as why:
 
 
 def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, description: str = "") -> Any:
-    """Write transitions to a new local Minari data set (Arrow files below MINARI_DATASETS_PATH) and return it.
+    """Write the learner's own transitions to a new local Minari data set (Arrow files below MINARI_DATASETS_PATH).
 
     Observations, actions and rewards are those of the environment of `task`, which the data set can recover when the
     task's options are plain data (names, numbers, dictionaries). An episode is a stretch of consecutive samples: it
@@ -34,7 +34,8 @@ def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, descript
     exists already.
     """
     where, names = "to_minari", transitions.names
-    require(len(transitions) > 0, where, "no transitions, expected at least one")
+    transitions = transitions.part(transitions.own)
+    require(len(transitions) > 0, where, "no transitions of the learner's own, expected at least one")
     fault = f"columns {names}, but the task has {task.description.names}"
     if "kappa" in names:
         fault += "; a run of a setting that looks for dead time takes actions between those of its set, too, and no "

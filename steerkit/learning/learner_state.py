@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.policy import PSI_E
+from steerkit.controllers.policy import DOE, PSI_E
 from steerkit.doe import OutputElement
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
@@ -174,7 +174,7 @@ class Before(NamedTuple):
     s: State
     """State of the learner (SI)."""
     action: float
-    """What was done there [rad]."""
+    """What the learner did there [rad]."""
     episode: int
     """Its number in the record."""
     own: bool
@@ -239,7 +239,7 @@ class LearnerState:
         """What the next sample completes to a transition."""
         self.faults: list[str] = []
         """What went wrong in training."""
-        self._also, self._round_length = also, round_length
+        self._also, self._round_length, self._element = also, round_length, setting.element()
 
     @property
     def steering(self) -> Any:
@@ -266,26 +266,28 @@ class LearnerState:
         begins one. Nothing is recorded across a missing sample, or after `forget`; samples that are not finite are left
         out. A new episode of the record begins at each such break, and where the learner takes over.
 
-        s: the learner's state (SI), of the columns `names`. action: what was done [rad]. learning: does it steer?
-        failed: if not, did recovery take over? progress: along the path [m]. e: cross-track error [m], which
-        its state may hold with noise. engaged: does learner or recovery steer, and no human?
+        s: the learner's state (SI), of the columns `names`. action: its wish [rad]; where another steers, the action is
+        what the output element would have needed for the angle that came of it. learning: does it steer? failed: if
+        not, did recovery take over? progress: along the path [m]. e: cross-track error [m], which its state may hold
+        with noise. engaged: does learner or recovery steer, and no human?
         """
         before, sound = self.before, all(map(math.isfinite, s))
         if before is not None and (before.number != number - 1 or not sound):
             before = None
         if before is not None:
-            row = (before.s, before.action, tuple(s), before.episode, before.own)
+            done = before.action if before.own else self._element.action_for(s[DOE], before.s[DOE])
+            row = (before.s, done, tuple(s), before.episode, before.own)
             self.transitions.append(*row)
             if self._also is not None:
                 self._also(*row)
-        kept = learning or (engaged and self.setting.models_recovery and abs(s[PSI_E]) < TURNED)
+        models = engaged and not learning and self.setting.models_recovery and abs(s[PSI_E]) < TURNED
         self.before = None
-        if kept and sound and math.isfinite(action):
+        if sound and (models or (learning and math.isfinite(action))):
             if before is not None and (before.own or not learning):
                 episode = before.episode
             else:
                 episode = int(self.transitions.episode[-1]) + 1 if len(self.transitions) else 1
-            self.before = Before(number, tuple(s), action, episode, learning)
+            self.before = Before(number, tuple(s), action if learning else 0.0, episode, learning)
         if not learning:
             return self.counts.ended(t, failed=failed)
         self.counts.steered(t, progress=progress, e=e, round_length=self._round_length)
@@ -308,16 +310,14 @@ class LearnerState:
         return counts.corrected * self.policy.dt >= setting.corrected_seconds
 
     def action(self, value: Callable[[str], float], element: OutputElement) -> float:
-        """The action [rad] to record: where another changed the angle, the one that makes what was sent.
+        """The action [rad] to record: where the filter changed the angle, the one that makes what was sent.
 
         value: of a signal of the loop. element: the output element.
         """
-        setting, sent = self.setting, "safety.delta_sw" if self.setting.safe else "supervisor.delta_sw"
-        if value("supervisor.learning") > 0.5:
-            other = setting.safe and setting.teaches != "chosen" and value("safety.correction") != 0.0
-        else:
-            other = setting.models_recovery
-        return element.action_for(value(sent), value("doe.state")) if other else value("controller.action")
+        setting, action = self.setting, value("controller.action")
+        if not setting.safe or setting.teaches == "chosen" or value("safety.correction") == 0.0:
+            return action
+        return element.action_for(value("safety.delta_sw"), value("doe.state"))
 
     def due(self) -> bool:
         """Is it time to train anew while driving on?"""

@@ -17,6 +17,7 @@ from steerkit.car import replay as replays
 from steerkit.car.loop import Steers
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.policy import DOE
 from steerkit.diagram import realtime
 from steerkit.learning.learner_state import Before, Recovery
 from steerkit.learning.nfq import iterate as nfq
@@ -24,6 +25,7 @@ from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import Setting, changed, setting
 from steerkit.learning.trainer import Job, Result, SimulatedTrainer
 from tests.support.car_world import World, setup
+from tests.support.stores import same
 
 TINY = replace(
     setting("model-free"), name="tiny", fit=FitSetting(nets=1, epochs=20, mirror=True, hints=0), retrain_every_m=5.0
@@ -87,6 +89,9 @@ class Beside(SimulatedTrainer):
 
     def poll(self, t: float) -> Result | None:
         return super().poll(self.world.t)
+
+    def idle(self, t: float) -> bool:
+        return super().idle(self.world.t)
 
     def close(self) -> None: ...
 
@@ -247,6 +252,30 @@ def test_a_net_that_failed_does_not_steer_until_a_newer_one_has_taken_over_and_n
     same = record.episode[1:] == record.episode[:-1]
     np.testing.assert_array_equal(record.s[1:][same], record.s_next[:-1][same])
     assert sum(learning for learning, *_ in steps) - len(record) <= len(learner_state.counts.episodes)
+
+
+def test_driving_under_recovery_is_recorded_for_a_model_of_the_car_and_not_what_the_human_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modes: list[tuple[bool, bool]] = []
+    step = on_car.CarLearner.step
+
+    def watched(learner: on_car.CarLearner, live: Any) -> None:
+        step(learner, live)
+        modes.append((learner.follow.engaged, live.sample["supervisor.learning"] > 0.5))
+
+    monkeypatch.setattr(on_car.CarLearner, "step", watched)
+    learner = learned(tmp_path, monkeypatch, 8.0, replace(TINY, fit=replace(TINY.fit, imagined=50)))
+    record = learner.learner_state.transitions
+    begun = [mode for mode in modes[:-1] if mode[0]]
+    assert 0 <= len(begun) - len(record) <= 2  # those in which the human took the wheel, or the drive ended
+    assert record.own.sum() == pytest.approx(sum(learning for _, learning in begun), abs=2)
+    assert 20 < record.own.sum() < len(record) - 20
+    follows = record.episode[1:] == record.episode[:-1]
+    np.testing.assert_array_equal(record.s[1:][follows], record.s_next[:-1][follows])
+    turned = record.s_next[:, DOE] - record.s[:, DOE]
+    np.testing.assert_allclose(turned[~record.own], record.a[~record.own], atol=1e-12)
+    assert same(record, learner.store.transitions("car"))
 
 
 def test_the_human_s_taking_the_wheel_is_no_failure_and_ends_a_recovery(

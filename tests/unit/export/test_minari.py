@@ -76,6 +76,7 @@ def test_an_episode_ends_for_one_reason() -> None:
     s[:, 0], s[:, 2] = [0.0, 0.1, 0.2, 0.3, 0.4, 0.7], 5.0
     record.extend(s[:-1], np.zeros(5), s[1:], 0)  # the last one beyond 0.5 m
     record.extend(s[:3], np.zeros(3), s[1:4], 1)
+    record.extend(s[:3], np.full(3, 0.123), s[1:4], 1, False)  # recovery's, which are none of the learner's
     data = to_minari(record, "steerkit/ends-v0", task)
     ends = [(e.terminations.tolist(), e.truncations.tolist(), e.rewards) for e in data.iterate_episodes()]
     assert [e[:2] for e in ends] == [([False] * 4 + [True], [False] * 5), ([False] * 3, [False, False, True])]
