@@ -1,4 +1,7 @@
-"""Learning, end to end: both action sets learn on the same code, and the integrating element is smoother."""
+"""Learning, end to end: both action sets learn on the same code; a car that changes on the way is learned anew."""
+
+from dataclasses import replace
+from typing import Any
 
 from steerkit.diagram.simulation import Log
 from steerkit.learning.experiment import Experiment, LearningRun
@@ -31,3 +34,30 @@ def test_both_learn_a_whole_round_from_nothing_and_the_integrating_element_is_sm
     smooth, rough = (of_log(log) for _, log in runs.values())
     assert smooth.rms_wheel_rate_deg < 0.5 * rough.rms_wheel_rate_deg
     assert smooth.rms_jerk < rough.rms_jerk
+
+
+def with_delay(run: LearningRun, delay: float) -> None:
+    """From now on commands are that late; those on their way arrive after the oldest of them, which is held."""
+    k = run.loop.names.index("actuator")
+    actuator: Any = run.loop.blocks["actuator"]
+    later: Any = replace(actuator, delay=delay)
+    motor, waiting = run.x[k][: -actuator.waiting], run.x[k][-actuator.waiting :]
+    run.x[k] = (*motor, *[waiting[0]] * (later.waiting - actuator.waiting), *waiting)
+    run.recorder.loop = run.loop = run.loop.with_block("actuator", later)
+
+
+def test_a_car_whose_delay_grows_in_mid_drive_is_found_under_recovery_and_learned_anew() -> None:
+    """The recovery controller, told the old delay, swings by metres; it would never come to rest within 0.1 m."""
+    scenario = Scenario(course="random-71", steering={"delay": 0.1})
+    run = LearningRun(Experiment(scenario=scenario, minutes=3.0, seed=1))
+    while run.t < 60.0:
+        run.drive()
+    with_delay(run, 0.4)
+    failures, good = run.counts.failures, 0
+    while good < 100 and not run.done():
+        run.drive()
+        good = good + 1 if run._value("supervisor.learning") > 0.5 and abs(run._value("path.e")) < 0.1 else 0
+    assert run.counts.failures > failures
+    assert good == 100  # five seconds
+    assert 7 <= run.policy.forecast.samples <= 10
+    assert (~run.transitions.own).sum() > 100
