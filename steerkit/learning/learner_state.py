@@ -240,6 +240,7 @@ class LearnerState:
         self.faults: list[str] = []
         """What went wrong in training."""
         self._also, self._round_length, self._element = also, round_length, setting.element()
+        self._largest = max(map(abs, setting.actions))
 
     @property
     def steering(self) -> Any:
@@ -264,7 +265,8 @@ class LearnerState:
         A transition (s, a, s_next) is two samples that follow each other without a gap; it is the learner's own where
         that steered in the first of them: the sample in which the recovery controller takes over ends one and never
         begins one. Nothing is recorded across a missing sample, or after `forget`; samples that are not finite are left
-        out. A new episode of the record begins at each such break, and where the learner takes over.
+        out, and so is what another did with a larger action than the learner has. A new episode of the record begins at
+        each such break, and where the learner takes over.
 
         s: the learner's state (SI), of the columns `names`. action: its wish [rad]; where another steers, the action is
         what the output element would have needed for the angle that came of it. learning: does it steer? failed: if
@@ -274,8 +276,12 @@ class LearnerState:
         before, sound = self.before, all(map(math.isfinite, s))
         if before is not None and (before.number != number - 1 or not sound):
             before = None
+        done = before.action if before is not None else 0.0
+        if before is not None and not before.own:
+            done = self._element.action_for(s[DOE], before.s[DOE])
+            if abs(done) > self._largest:
+                before = None  # the motor may not follow, and that looks like dead time
         if before is not None:
-            done = before.action if before.own else self._element.action_for(s[DOE], before.s[DOE])
             row = (before.s, done, tuple(s), before.episode, before.own)
             self.transitions.append(*row)
             if self._also is not None:

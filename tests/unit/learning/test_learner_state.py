@@ -101,6 +101,17 @@ def test_where_a_model_is_learned_driving_under_recovery_is_recorded_for_it_and_
     np.testing.assert_array_equal(record.s[1:][follows], record.s_next[:-1][follows])
 
 
+def test_what_recovery_did_is_told_by_the_wheel_and_left_out_where_no_learner_would() -> None:
+    """A motor may not follow larger steps than the learner's, of 25 degrees; that would look like dead time."""
+    learner_state = Fed(setting=MODELS).learner_state
+    for number, doe in enumerate((0.0, 0.2, 0.5, 1.0, 0.9, 0.8)):  # from 0.5 on by 0.5 rad
+        s = (0.0, 0.0, 5.0, 0.0, 0.0, doe)
+        learner_state.sample(number, 0.0, s, math.nan, learning=False, failed=False, progress=0.0, e=0.0)
+    record = learner_state.transitions
+    np.testing.assert_allclose(record.a, [0.2, 0.3, -0.1, -0.1], atol=1e-12)
+    assert record.episode.tolist() == [1, 1, 2, 2]
+
+
 def test_while_recovery_steers_it_is_trained_every_ten_seconds() -> None:
     """And not on a record to which nothing is added."""
     for setting, jobs in ((MODELS, 4), (HOW, 1)):
