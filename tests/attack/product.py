@@ -10,7 +10,9 @@ from steerkit.car import loop as loops
 from steerkit.car import protocol
 from steerkit.car.loop import Follow
 from steerkit.diagram import realtime
-from tests.attack.bench import Attack, Drive, configuration
+from tests.attack.attacks import LIARS
+from tests.attack.bench import Attack, Drive, calibrated, configuration
+from tests.attack.bench import settled as own
 from tests.attack.car import centred
 
 POLICY = Path(__file__).parent / "policy.npz"
@@ -108,3 +110,21 @@ def driven_by(
     if attack.course == "stadium" and name not in LEARNS:
         attack = replace(attack, course="careful")
     return settled(name, attack.course, attack.where, speed, seed, kinematic, vehicle).under(attack)
+
+
+def lied_to(
+    name: str, controller: str, speed: float, *, known: bool, kinematic: bool, seconds: float = 12.0, seed: int = 0
+) -> Drive:
+    """A liar's drive, so long from its onset on, steered by the attacker's own law (`own`) or one of the product's.
+
+    known: has the car been calibrated? kinematic: does it roll where its wheels point, or is it the data sheet's?
+    """
+    attack, vehicle = replace(LIARS[name], seconds=seconds), calibrated(kinematic) if known else ""
+    if controller == "own":
+        return own(attack.course, attack.where, speed, seed, kinematic, vehicle).under(attack)
+    return driven_by(controller, attack, speed=speed, seed=seed, kinematic=kinematic, vehicle=vehicle)
+
+
+def sooner(drive: Drive, *, known: bool) -> bool:
+    """Did a lie lead the car further off than it may, 0.5 m, 1 m if not calibrated, and sooner than was said before?"""
+    return drive.excess() > (0.5 if known else 1.0) and drive.reached(0.5) < drive.astray
