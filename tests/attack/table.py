@@ -41,13 +41,13 @@ def compared(name: str, controllers: list[str]) -> str:
     return f"| {' | '.join(cells)} |{f' **MISSED** {wrong} |' if wrong else ''}"
 
 
-def lies(name: str, seed: int) -> str:
+def lies(name: str, seed: int, lead: float) -> str:
     """One liar, to cars that were calibrated and not: how many drives within 0.5 m, 1 m; the worst; what was said."""
     cells, wrong, unheld = [name], [], 0
     for known in (True, False):
         within, worst, soonest, drives = 0, 0.0, math.inf, 0
         for controller, speed, kinematic in itertools.product(("own", *CONTROLLERS), SPEEDS, (False, True)):
-            drive = lied_to(name, controller, speed, known=known, kinematic=kinematic, seed=seed)
+            drive = lied_to(name, controller, speed, known=known, kinematic=kinematic, seed=seed, lead=lead)
             if not drive.engaged_at_onset():
                 unheld += 1
                 continue
@@ -69,13 +69,14 @@ def main() -> None:
     parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=[], help="the product's own steer")
     parser.add_argument("--liars", action="store_true", help="lies that agree with themselves, at all there is")
     parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise, of --liars")
+    parser.add_argument("--lead", type=float, default=0.0, help="what --liars find was driven for so far before [m]")
     options = parser.parse_args()
     line = partial(compared, controllers=options.controllers) if options.controllers else row
     names = ATTACKS
     if options.liars:
         heads = ["calibrated: within 0.5 m", "worst excess [m]", "said: not 0.5 m off before [s]"]
         heads += ["not: within 1 m", *heads[1:], "not engaged", "sooner than said"]
-        line, names = partial(lies, seed=options.seed), LIARS
+        line, names = partial(lies, seed=options.seed, lead=options.lead), LIARS
     elif options.controllers:
         heads = [f"{name} [ms / m / m/s²]" for name in options.controllers]
     else:
