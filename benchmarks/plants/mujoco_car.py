@@ -126,26 +126,27 @@ class _Calculator:
         mj.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = motion[:13], motion[13:]
         data.ctrl[:] = delta
-        velocity, force = np.zeros(6), np.zeros(6)
+        velocity, applied = np.zeros(6), data.xfrc_applied
         for _ in range(steps):
             mj.mj_step1(model, data)
             for number, tyre in enumerate(self._tyres):
                 mj.mj_objectVelocity(model, data, mj.mjtObj.mjOBJ_BODY, tyre.body, velocity, 1)
-                v_x, v_y = max(float(velocity[3]), _SLOWEST), float(velocity[4])
+                _, _, _, v_x, v_y, _ = velocity.tolist()
+                v_x = max(v_x, _SLOWEST)
                 kept = math.exp(-self._step * v_x / _RELAXATION)
                 slips[number] = kept * slips[number] - (1.0 - kept) * math.atan(v_y / v_x)
                 side = self._mu * loads[number] * math.sin(_SHAPE * math.atan(tyre.stiffness * slips[number]))
                 a_x = min(max(_FORWARD * (v_cmd - v_x), -_PEDALS), _PEDALS)
                 push = 0.0 if tyre.front else 0.5 * self._mass * a_x
-                axes = data.xmat[tyre.body].reshape(3, 3)
-                applied = push * axes[:, 0] + side * axes[:, 1]
-                data.xfrc_applied[tyre.body, :3] = applied
-                data.xfrc_applied[tyre.body, 3:] = (_RADIUS * applied[1], -_RADIUS * applied[0], 0.0)
+                xx, xy, _, yx, yy, _, zx, zy, _ = data.xmat[tyre.body].tolist()
+                x, y, z = push * xx + side * xy, push * yx + side * yy, push * zx + side * zy
+                applied[tyre.body] = x, y, z, _RADIUS * y, -_RADIUS * x, 0.0
             mj.mj_step2(model, data)
             loads[:] = [0.0] * 4
-            for number, contact in enumerate(data.contact):
-                mj.mj_contactForce(model, data, number, force)
-                loads[self._wheel_of[int(max(contact.geom))]] += float(force[0])
+            contact, forces = data.contact, data.efc_force.tolist()
+            for pair, row in zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True):
+                if row >= 0:  # without friction, a contact that pushes is one row
+                    loads[self._wheel_of[max(pair)]] += forces[row]
         return (*data.qpos.tolist(), *data.qvel.tolist())
 
 

@@ -20,7 +20,7 @@ _LIMIT = 3.0  # m/s^2
 _GAINS = 1.3, 2.3  # steady gain, between these; how it depends on amplitude and speed is the seed's
 _SLOW, _FAST = 8.0, 30.0  # m/s: between them gain and wander grow
 _LEAD, _LEAD_TIME, _LEAD_LIMIT = 1.2, 0.7, 0.3  # 1, s, m/s^2: a small change overshoots: phase at 0.2 Hz
-_CREEP, _CREEP_TIME, _CREEP_FULL = 0.3, 3.0, 2.0  # 1, s, m/s^2: of a large change this share comes late
+_CREEP, _CREEP_TIME, _CREEP_FULL = 0.4, 3.0, 2.0  # 1, s, m/s^2: of a large change this share comes late
 _WANDER = 0.04, 0.18  # m/s^2, standard deviations at _SLOW and _FAST
 _WANDER_TIME = 1.5  # s
 _STREAM = 36
@@ -35,7 +35,7 @@ class TorqueCar(IntegratedCar):
 
         s = g(c, v) c,  g = g_0(v) + (g_1(v) - g_0(v)) c^2/(0.5 + c^2),
         l+ = l + (1 - exp(-0.1/0.7)) (s - l),   lead = sat(1.2 (s - l), +-0.3 m/s^2),
-        k+ = k + (1 - exp(-0.1/3)) (s - k),     creep = 0.3 min(1, |s|/2) (s - k),
+        k+ = k + (1 - exp(-0.1/3)) (s - k),     creep = 0.4 min(1, |s|/2) (s - k),
         q+ = q + sat(sat(s + lead - creep, +-3 m/s^2) - q, +-0.5 m/s^2),
         d+ = exp(-0.1/1.5) d + sqrt(1 - exp(-0.2/1.5)) sigma(v) n,   sigma: 0.04 at 8 m/s to 0.18 at 30 m/s,
 

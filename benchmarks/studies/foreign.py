@@ -22,7 +22,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
@@ -32,7 +32,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmarks.peers.commonroad import VANAGON_FILE
 from benchmarks.run import spread
+from benchmarks.scenarios import MULTI_BODY
 from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
 from steerkit.scenario import Scenario
@@ -47,7 +49,6 @@ AMPLITUDE, HALVES, REGULAR = 0.1, 4, 1.5  # m, half-periods, factor
 OFF, TURNED = 1.0, radians_of(5.0)
 TOLD = ("0.5", "1", "1.5", "none")
 _MOTOR = {"delay": 0.2, "lag": 0.12}
-_COMMONROAD = "benchmarks.plants.commonroad_cars"
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Foreign:
 
     plant: str
     steering: Mapping[str, Any]
-    vehicle: str = "vw-passat"
+    vehicle: Mapping[str, str] = field(default_factory=lambda: {"name": "vw-passat"})
     speeds: tuple[float, ...] = (5.0, 10.0, 20.0)
 
 
@@ -67,6 +68,10 @@ CARS: Mapping[str, Foreign] = MappingProxyType(
             steering={"command": "torque", "delay": 0.5, "lag": 0.1, "slew": 5.0, "a_y_limit": 3.0},
             speeds=(8.0, 12.0, 16.0),
         ),
+        "mujoco": Foreign("benchmarks.plants.mujoco_car:MujocoCar", _MOTOR),
+        "commonroad-1": Foreign(MULTI_BODY, _MOTOR, {"name": "ford-escort"}),
+        "commonroad-2": Foreign(MULTI_BODY, _MOTOR, {"name": "bmw-320i"}),
+        "commonroad-3": Foreign(MULTI_BODY, _MOTOR, VANAGON_FILE),
     }
 )
 
@@ -106,7 +111,7 @@ def scene(car: str, speed: float, seed: int, conditions: str = "clean") -> Scena
         conditions,
         name=car,
         course={"name": course, "start": start},
-        vehicle={"name": foreign.vehicle, "plant": foreign.plant},
+        vehicle={**foreign.vehicle, "plant": foreign.plant},
         driver={"v_min": speed, "v_max": speed},
         steering=dict(foreign.steering),
     )
