@@ -50,7 +50,7 @@ class CommonRoadMultiBody(Car):
     pure = False  # its functions branch on their values
 
     vehicle: Vehicle = BMW_320I
-    """`bmw-320i`, `ford-escort` or `vw-vanagon`, as they are: the model's tyres, masses and springs cannot be others."""
+    """`bmw-320i`, `ford-escort` or `vw-vanagon`, as they are: the model has no other tyres, masses and springs."""
     x0: float = 0.0
     """Start position [m]."""
     y0: float = 0.0

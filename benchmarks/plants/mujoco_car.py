@@ -33,8 +33,8 @@ class MujocoCar(IntegratedCar):
 
         alpha' = v_x/sigma (-atan(v_y/v_x) - alpha),   F_y = mu N sin(1.3 atan(B alpha)),
 
-    sigma = 0.4 m, B such that F_y/alpha of both wheels of an axle is the data sheet's at rest. The rear wheels push with
-    m sat(2/s (v_cmd - v_x), +-3 m/s^2). The front wheels turn, both alike, by position actuators, to
+    sigma = 0.4 m, B such that F_y/alpha of both wheels of an axle is the data sheet's at rest. The rear wheels push
+    with m sat(2/s (v_cmd - v_x), +-3 m/s^2). The front wheels turn, both alike, by position actuators, to
     delta_sw_cmd/steer_ratio. a_y is the mean of v_y' + v_x r over the last sample.
 
     state: qpos (13) and qvel (12) of MuJoCo; the slips and the loads of the four tyres; psi as any turn, a_y and the

@@ -39,14 +39,15 @@ class TorqueCar(IntegratedCar):
         q+ = q + sat(sat(s + lead - creep, +-3 m/s^2) - q, +-0.5 m/s^2),
         d+ = exp(-0.1/1.5) d + sqrt(1 - exp(-0.2/1.5)) sigma(v) n,   sigma: 0.04 at 8 m/s to 0.18 at 30 m/s,
 
-    and a goes on a straight line to sat(q+ + d+, +-3 m/s^2), where it is after 0.1 s more. g_0 and g_1, the steady gains
-    of small and large commands, are linear in v from 8 to 30 m/s, between gains that the seed draws, each uniform in
-    1.3 to 2.3. The car moves in the plane: r = a/v, beta = (l_r/v^2 - m l_f/(L c_r)) a, v as commanded. delta_sw is the
-    angle that goes with a: steer_ratio atan(C(v) a). Below 1 m/s it turns as at 1 m/s. Car i of a batch has seed + i.
+    and a goes on a straight line to sat(q+ + d+, +-3 m/s^2), where it is after 0.1 s more. g_0 and g_1, the steady
+    gains of small and large commands, are linear in v from 8 to 30 m/s, between gains that the seed draws, each uniform
+    in 1.3 to 2.3. The car moves in the plane: r = a/v, beta = (l_r/v^2 - m l_f/(L c_r)) a, v as commanded. delta_sw is
+    the angle that goes with a: steer_ratio atan(C(v) a). Below 1 m/s it turns as at 1 m/s. Car i of a batch has seed +
+    i.
 
     A scenario's steering in front of it is left out (`own_steering`) and says only what controllers are told.
-    state: x, y, psi, v; the four gains; the last answer, the next and the samples since; l, k, q, d; the generator's six
-    numbers; the commands on their way, oldest first. valid: 8 to 30 m/s, dt = 0.01 s. NaN in an input gives NaN for
+    state: x, y, psi, v; the four gains; the last answer, the next and the samples since; l, k, q, d; the generator's
+    six numbers; the commands on their way, oldest first. valid: 8 to 30 m/s, dt = 0.01 s. NaN in an input gives NaN for
     good.
     source: answers to steps and sines, measured; an overshoot of small changes alone reconciles the phases at 0.2 Hz
     (as 0.3 s) and 0.8 Hz (as 0.57 s) with a dead time of 0.5 s; large changes creep.

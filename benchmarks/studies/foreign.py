@@ -119,9 +119,7 @@ def scene(car: str, speed: float, seed: int, conditions: str = "clean") -> Scena
 
 def told(scenario: Scenario, factor: str) -> Scenario:
     """The scenario with that much of its dead time told: a factor, or `none`."""
-    return scenario.with_(
-        knowledge={"delay": 0.0 if factor == "none" else float(factor) * scenario.believed_dead_time}
-    )
+    return scenario.with_(knowledge={"delay": 0.0 if factor == "none" else float(factor) * scenario.believed_dead_time})
 
 
 def one_drive(job: Job) -> Recovery:
@@ -180,7 +178,9 @@ def limit_cycle(t: Any, e: Any) -> tuple[float, float]:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick is one drive of 25 s."""
     parser.add_argument("--controllers", nargs="+", default=[], metavar="NAME", help=f"beside {AUTO}")
-    parser.add_argument("--cars", nargs="+", default=list(CARS), choices=list(CARS), metavar="CAR", help=", ".join(CARS))
+    parser.add_argument(
+        "--cars", nargs="+", default=list(CARS), choices=list(CARS), metavar="CAR", help=", ".join(CARS)
+    )
     parser.add_argument("--told", nargs="+", default=list(TOLD), metavar="X", help="times the true dead time, or none")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)

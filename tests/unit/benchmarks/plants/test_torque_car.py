@@ -28,7 +28,7 @@ def answer(car: TorqueCar, v: float, seconds: float, command: Callable[[float], 
 def test_a_step_is_answered_late_and_with_a_gain_that_depends_on_its_size(seed: int, v: float) -> None:
     car, gains = TorqueCar(seed=seed, v0=v, wander=0.0), []
     for size in (0.4, 0.7, 1.0):
-        a = answer(car, v, 25.0, lambda t: size)
+        a = answer(car, v, 25.0, lambda t, size=size: size)
         tenth, half = (0.01 * np.argmax(a >= share * a[-1]) for share in (0.1, 0.5))
         assert 0.5 < tenth <= 0.55, "0.51 s where the slew does not count yet"
         assert 0.55 <= half <= 0.76
@@ -42,18 +42,19 @@ def test_a_step_is_answered_late_and_with_a_gain_that_depends_on_its_size(seed: 
 def test_large_steps_creep_to_their_end_for_seconds_and_small_ones_do_not() -> None:
     for size, least, most in ((1.3, 1.0, 5.0), (0.3, 0.0, 0.3)):
         for seed in range(4):
-            a = answer(TorqueCar(seed=seed, v0=12.0, wander=0.0), 12.0, 25.0, lambda t: size)
+            a = answer(TorqueCar(seed=seed, v0=12.0, wander=0.0), 12.0, 25.0, lambda t, size=size: size)
             assert least < 0.01 * np.argmax(a >= 0.9 * a[-1]) - 0.5 < most
 
 
 @pytest.mark.parametrize(("seed", "v"), CARS)
 def test_sines_come_as_late_as_measured_at_either_frequency(seed: int, v: float) -> None:
     for hertz, expected in ((0.2, 0.3), (0.8, 0.57)):
-        a = answer(TorqueCar(seed=seed, v0=v, wander=0.0), v, 30.0, lambda t: 0.15 * math.sin(2.0 * math.pi * hertz * t))
+        w = 2.0 * math.pi * hertz
+        a = answer(TorqueCar(seed=seed, v0=v, wander=0.0), v, 30.0, lambda t, w=w: 0.15 * math.sin(w * t))
         t = 0.01 * np.arange(len(a))
         late = t >= 20.0
-        phase = np.angle(2j * np.mean(a[late] * np.exp(-2j * math.pi * hertz * t[late])))
-        assert -phase / (2.0 * math.pi * hertz) == pytest.approx(expected, abs=0.02)
+        phase = np.angle(2j * np.mean(a[late] * np.exp(-1j * w * t[late])))
+        assert -phase / w == pytest.approx(expected, abs=0.02)
 
 
 def test_without_a_command_it_wanders_more_the_faster_it_is() -> None:
