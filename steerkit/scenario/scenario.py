@@ -149,7 +149,12 @@ class Scenario:
     def random(self) -> bool:
         """Does anything depend on the seed (but for a learner's net)?"""
         pushed_or_late = max(self.disturbances.gust, self.steering.delay_jitter) > 0.0
-        return self.driver.wanders or self.sensors.random or pushed_or_late
+        return self.driver.wanders or self.sensors.random or pushed_or_late or self._plant_draws
+
+    @property
+    def _plant_draws(self) -> bool:
+        kind: Any = plant_kind(self.vehicle.plant)
+        return "seed" in {field.name for field in fields(kind)}
 
     @property
     def nominal(self) -> Vehicle:
@@ -223,7 +228,7 @@ class Scenario:
     def car(self, path: Path, s: float = 0.0, seed: int = 0) -> Block:
         """The plant, on the path at arc length s [m]; `seed` is that of the gusts, and of a plant that has one."""
         kind: Any = plant_kind(self.vehicle.plant)
-        own = {"seed": seed} if "seed" in {field.name for field in fields(kind)} else {}
+        own = {"seed": seed} if self._plant_draws else {}
         car = kind(vehicle=self.vehicle.true, v0=self.driver.v_min, **own)
         return self.disturbances.around(placed(car, path, s=s), seed)
 

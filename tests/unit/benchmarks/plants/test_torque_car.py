@@ -80,4 +80,5 @@ def test_it_turns_as_its_lateral_acceleration_says_and_its_seed_is_the_drives() 
     )
     loop = assembled(scenario, controller("stanley", scenario), seed=3)
     assert loop.blocks["car"].seed == 3
+    assert scenario.random
     assert "actuator" not in loop.blocks, "it has its own"
