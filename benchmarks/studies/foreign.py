@@ -159,8 +159,9 @@ def limit_cycle(t: Any, e: Any) -> tuple[float, float]:
     for k in range(1, len(e)):
         ahead = (e[k] - e[at]) * rising
         if rising == 0:
-            if abs(e[k] - e[0]) >= 2.0 * AMPLITUDE:
-                rising, at = (1 if e[k] > e[0] else -1), k
+            moved = e[k] - e[0]
+            if abs(moved) >= 2.0 * AMPLITUDE:
+                rising, at = (1 if moved > 0.0 else -1), k
         elif ahead >= 0.0:
             at = k
         elif ahead <= -2.0 * AMPLITUDE:
