@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,9 +12,23 @@ import numpy as np
 from steerkit._support.errors import require
 from steerkit.diagram.block import State
 from steerkit.plants.single_track import Car
-from steerkit.vehicles import BMW_320I, FORD_ESCORT, Vehicle
+from steerkit.vehicles import BMW_320I, FORD_ESCORT, G, Vehicle
+from steerkit.vehicles.file import vehicle_text
 
-CARS = (BMW_320I, FORD_ESCORT)
+_VANAGON = (1478.8979637767998, 1.1507916024, 1.3211363976000001)  # kg, m, m
+VW_VANAGON = replace(
+    BMW_320I,
+    name="vw-vanagon",
+    m=_VANAGON[0],
+    i_z=2473.1176915564442,
+    l_f=_VANAGON[1],
+    l_r=_VANAGON[2],
+    c_f=21.92 * G * _VANAGON[0] * _VANAGON[2] / (_VANAGON[1] + _VANAGON[2]),
+    c_r=21.92 * G * _VANAGON[0] * _VANAGON[1] / (_VANAGON[1] + _VANAGON[2]),
+)
+"""VW Vanagon of CommonRoad (vehicle 3), as `steerkit.vehicles` has the others; `VANAGON_FILE` is its vehicle file."""
+VANAGON_FILE = {"name": "vw-vanagon.toml", "text": vehicle_text(VW_VANAGON)}
+CARS = (BMW_320I, FORD_ESCORT, VW_VANAGON)
 _FORWARD = 2.0  # 1/s: how fast the multi-body car's speed control closes a gap in speed
 _PEDALS = 3.0  # m/s^2: with how much at most; more spins its wheels
 _SUBSTEPS = 4  # its fastest mode is near -840/s: Runge-Kutta is stable to 2.78/840 s, and exact to 1e-5 at 2.5 ms
@@ -36,7 +50,7 @@ class CommonRoadMultiBody(Car):
     pure = False  # its functions branch on their values
 
     vehicle: Vehicle = BMW_320I
-    """`bmw-320i` or `ford-escort`, as they are: the model's tyres, masses and springs cannot be others."""
+    """`bmw-320i`, `ford-escort` or `vw-vanagon`, as they are: the model has no other tyres, masses and springs."""
     x0: float = 0.0
     """Start position [m]."""
     y0: float = 0.0
@@ -58,10 +72,11 @@ class CommonRoadMultiBody(Car):
         from vehiclemodels.init_mb import init_mb
         from vehiclemodels.parameters_vehicle1 import parameters_vehicle1
         from vehiclemodels.parameters_vehicle2 import parameters_vehicle2
+        from vehiclemodels.parameters_vehicle3 import parameters_vehicle3
         from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
-        parameters = {"ford-escort": parameters_vehicle1, "bmw-320i": parameters_vehicle2}[self.vehicle.name]()
-        return vehicle_dynamics_mb, init_mb, parameters
+        kinds = (parameters_vehicle2, parameters_vehicle1, parameters_vehicle3)
+        return vehicle_dynamics_mb, init_mb, kinds[CARS.index(self.vehicle)]()
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         require(not batch, "CommonRoadMultiBody", "one car at a time: it cannot be batched")

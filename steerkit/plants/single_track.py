@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,10 @@ class Car(Block):
     from their sample to the next. outputs, of state only: x, y [m] of the centre of gravity; psi [rad], any turn;
     v [m/s], its speed; beta [rad]; r [rad/s]; a_y [m/s^2]; delta_sw [rad].
     """
+
+    own_steering: ClassVar[bool] = False
+    """Does it take the command itself, late and within its own bounds? A scenario's actuator is then left out, and what
+    the scenario says of it is only what controllers are told."""
 
     delta_sw_cmd = In("rad", direct=False)
     v_cmd = In("m/s", direct=False)

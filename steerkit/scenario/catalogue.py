@@ -251,11 +251,12 @@ def _called(thing: object) -> str:
     return f"the class {thing.__name__}" if isinstance(thing, type) else f"{thing!r:.60}"
 
 
-def plant_kind(name: str) -> type[Block]:
+def plant_kind(name: str) -> type[Car]:
     """The class of a simulated car: one of `PLANTS`, or `package.module:Class` for another.
 
-    Another needs the ports of `steerkit.plants.single_track.Car` and the parameters vehicle, x0, y0, psi0 and v0; it
-    may refuse vehicles that it has no model of. Raises ValueError for an unknown name and for a class that is none.
+    Another needs the ports of `steerkit.plants.single_track.Car` and the parameters vehicle, x0, y0, psi0 and v0; a
+    `seed` is set to the drive's; it may refuse vehicles that it has no model of. Raises ValueError for an unknown name
+    and for a class that is none.
     """
     if not is_outside(name):
         return PLANTS[known(name, PLANTS, "plant", also="package.module:Class")]

@@ -149,7 +149,12 @@ class Scenario:
     def random(self) -> bool:
         """Does anything depend on the seed (but for a learner's net)?"""
         pushed_or_late = max(self.disturbances.gust, self.steering.delay_jitter) > 0.0
-        return self.driver.wanders or self.sensors.random or pushed_or_late
+        return self.driver.wanders or self.sensors.random or pushed_or_late or self._plant_draws
+
+    @property
+    def _plant_draws(self) -> bool:
+        kind: Any = plant_kind(self.vehicle.plant)
+        return "seed" in {field.name for field in fields(kind)}
 
     @property
     def nominal(self) -> Vehicle:
@@ -221,9 +226,10 @@ class Scenario:
     # ---- what it is made of ---------------------------------------------------------------------------------
 
     def car(self, path: Path, s: float = 0.0, seed: int = 0) -> Block:
-        """The plant, on the path at arc length s [m]; `seed` is that of the gusts."""
-        kind = plant_kind(self.vehicle.plant)
-        car: Any = kind(vehicle=self.vehicle.true, v0=self.driver.v_min)  # type: ignore[call-arg]
+        """The plant, on the path at arc length s [m]; `seed` is that of the gusts, and of a plant that has one."""
+        kind: Any = plant_kind(self.vehicle.plant)
+        own = {"seed": seed} if self._plant_draws else {}
+        car = kind(vehicle=self.vehicle.true, v0=self.driver.v_min, **own)
         return self.disturbances.around(placed(car, path, s=s), seed)
 
     def blocks(self, path: Path, s: float = 0.0, seed: int = 0) -> dict[str, Block | None]:
@@ -236,7 +242,7 @@ class Scenario:
             "car": self.car(path, s, seed),
             "driver": self.driver.block(self.course, path, seed),
             "link": self.steering.link(seed),
-            "actuator": self.steering.actuator(nominal),
+            "actuator": None if plant_kind(self.vehicle.plant).own_steering else self.steering.actuator(nominal),
             "column": self.steering.column(),
             "sensors": self.sensors.sensors(nominal, seed),
             "estimator": self.sensors.state_estimator(nominal),

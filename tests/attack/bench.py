@@ -442,9 +442,12 @@ class Drive(Bench):
 
 
 @cache
-def settled(course: str, where: str, speed: float, seed: int) -> Drive:
+def settled(
+    course: str, where: str, speed: float, seed: int, kinematic: bool = False, vehicle: str = "", lead: float = 0.0
+) -> Drive:
     """A drive as far as all attacks there have in common."""
-    return Drive(Attack("none", course=course, where=where), speed=speed, seed=seed).settle()
+    none = Attack("none", course=course, where=where)
+    return Drive(none, speed, seed, lead=lead, kinematic=kinematic, vehicle=vehicle).settle()
 
 
 def driven(attack: Attack, *, speed: float, seed: int = 0) -> Drive:

@@ -10,7 +10,9 @@ from steerkit.car import loop as loops
 from steerkit.car import protocol
 from steerkit.car.loop import Follow
 from steerkit.diagram import realtime
-from tests.attack.bench import Attack, Drive, configuration
+from tests.attack.attacks import LIARS
+from tests.attack.bench import Attack, Drive, calibrated, configuration
+from tests.attack.bench import settled as own
 from tests.attack.car import centred
 
 POLICY = Path(__file__).parent / "policy.npz"
@@ -90,21 +92,57 @@ HARMLESS = 0.5
 
 
 @cache
-def settled(name: str, course: str, where: str, speed: float, seed: int, kinematic: bool, vehicle: str) -> Drive:
+def settled(
+    name: str, course: str, where: str, speed: float, seed: int, kinematic: bool, vehicle: str, lead: float = 0.0
+) -> Drive:
     """A drive with that controller as far as all attacks there have in common.
 
     The human steers exactly, as a controller is only engaged that asks for the angle that the wheel has; pure pursuit
     wants another one in a bend, and is engaged on the straight before it.
     """
-    none, lead = Attack("none", course=course, where=where), 45.0 if name == "pure-pursuit" else 0.0
+    none, lead = Attack("none", course=course, where=where), lead or (45.0 if name == "pure-pursuit" else 0.0)
     client = ProductClient(name, course, vehicle)
     return Drive(none, speed, seed, client, centred, lead, kinematic=kinematic, vehicle=vehicle).settle()
 
 
 def driven_by(
-    name: str, attack: Attack, *, speed: float, seed: int = 0, kinematic: bool = False, vehicle: str = ""
+    name: str,
+    attack: Attack,
+    *,
+    speed: float,
+    seed: int = 0,
+    kinematic: bool = False,
+    vehicle: str = "",
+    lead: float = 0.0,
 ) -> Drive:
     """A drive with that controller under attack, done."""
     if attack.course == "stadium" and name not in LEARNS:
         attack = replace(attack, course="careful")
-    return settled(name, attack.course, attack.where, speed, seed, kinematic, vehicle).under(attack)
+    return settled(name, attack.course, attack.where, speed, seed, kinematic, vehicle, lead).under(attack)
+
+
+def lied_to(
+    name: str,
+    controller: str,
+    speed: float,
+    *,
+    known: bool,
+    kinematic: bool,
+    seconds: float = 12.0,
+    seed: int = 0,
+    lead: float = 0.0,
+) -> Drive:
+    """A liar's drive, so long from its onset on, steered by the attacker's own law (`own`) or one of the product's.
+
+    known: has the car been calibrated? kinematic: does it roll where its wheels point, or is it the data sheet's?
+    lead: how far it was driven before the onset, beyond the usual 2.5 s [m].
+    """
+    attack, vehicle = replace(LIARS[name], seconds=seconds), calibrated(kinematic) if known else ""
+    if controller == "own":
+        return own(attack.course, attack.where, speed, seed, kinematic, vehicle, lead).under(attack)
+    return driven_by(controller, attack, speed=speed, seed=seed, kinematic=kinematic, vehicle=vehicle, lead=lead)
+
+
+def sooner(drive: Drive, *, known: bool) -> bool:
+    """Did a lie lead the car further off than it may, 0.5 m, 1 m if not calibrated, and sooner than was said before?"""
+    return drive.excess() > (0.5 if known else 1.0) and drive.reached(0.5) < drive.astray

@@ -1,16 +1,18 @@
 """All attacks at all speeds, as a table in Markdown: `python -m tests.attack.table [--jobs 2]`, or `make attacks`.
 
-With `--controllers mpc lqr ...` those of the product steer, and each has a column instead of each speed.
+With `--controllers mpc lqr ...` those of the product steer, and each has a column instead of each speed. `--liars`:
+every lie that agrees with itself, with every controller, at every speed, to two cars, calibrated and not: 2,160 drives.
 """
 
 import argparse
+import itertools
 import math
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
-from tests.attack.attacks import ATTACKS
+from tests.attack.attacks import ATTACKS, LIARS
 from tests.attack.bench import driven
-from tests.attack.product import CONTROLLERS, HARMLESS, driven_by
+from tests.attack.product import CONTROLLERS, HARMLESS, driven_by, lied_to, sooner
 from tests.attack.test_attacks import SPEEDS
 
 
@@ -39,23 +41,51 @@ def compared(name: str, controllers: list[str]) -> str:
     return f"| {' | '.join(cells)} |{f' **MISSED** {wrong} |' if wrong else ''}"
 
 
+def lies(name: str, seed: int, lead: float) -> str:
+    """One liar, to cars that were calibrated and not: how many drives within 0.5 m, 1 m; the worst; what was said."""
+    cells, wrong, unheld = [name], [], 0
+    for known in (True, False):
+        within, worst, soonest, drives = 0, 0.0, math.inf, 0
+        for controller, speed, kinematic in itertools.product(("own", *CONTROLLERS), SPEEDS, (False, True)):
+            drive = lied_to(name, controller, speed, known=known, kinematic=kinematic, seed=seed, lead=lead)
+            if not drive.engaged_at_onset():
+                unheld += 1
+                continue
+            drives += 1
+            within += drive.excess() <= (0.5 if known else 1.0)
+            worst, soonest = max(worst, drive.excess()), min(soonest, drive.astray)
+            if sooner(drive, known=known):
+                who = f"{controller}, {speed:g} m/s, {known=}, {kinematic=}"
+                wrong.append(f"{who}: {drive.reached(0.5):.2f} s, said {drive.astray:.2f} s, {drive.excess():.2f} m")
+        cells += [f"{within} of {drives}", f"{worst:.2f}", f"{soonest:.2f}"]
+    return f"| {' | '.join([*cells, str(unheld), str(len(wrong))])} |{f' **MISSED** {wrong}' if wrong else ''}"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--jobs", type=int, default=2, help="processes at once")
     parser.add_argument("--only", default="", help="attacks with this in their name")
     parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=[], help="the product's own steer")
+    parser.add_argument("--liars", action="store_true", help="lies that agree with themselves, at all there is")
+    parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise, of --liars")
+    parser.add_argument("--lead", type=float, default=0.0, help="what --liars find was driven for so far before [m]")
     options = parser.parse_args()
-    if options.controllers:
+    line = partial(compared, controllers=options.controllers) if options.controllers else row
+    names = ATTACKS
+    if options.liars:
+        heads = ["calibrated: within 0.5 m", "worst excess [m]", "said: not 0.5 m off before [s]"]
+        heads += ["not: within 1 m", *heads[1:], "not engaged", "sooner than said"]
+        line, names = partial(lies, seed=options.seed, lead=options.lead), LIARS
+    elif options.controllers:
         heads = [f"{name} [ms / m / m/s²]" for name in options.controllers]
     else:
         heads = [*(f"silence at {speed:g} m/s [ms]" for speed in SPEEDS), "worst excess of true e [m]"]
         heads += ["worst true a_y [m/s²]", "noticed as"]
     print(f"| attack | {' | '.join(heads)} |")
     print(f"|---|{'---|' * len(heads)}")
-    line = partial(compared, controllers=options.controllers) if options.controllers else row
     with ProcessPoolExecutor(options.jobs) as pool:
-        for text in pool.map(line, [name for name in ATTACKS if options.only in name]):
+        for text in pool.map(line, [name for name in names if options.only in name]):
             print(text, flush=True)
 
 

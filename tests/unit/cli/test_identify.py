@@ -30,6 +30,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> N
     text = cli("identify", lap, "--column", "delta_sw=angle:deg:-1", "-q", "--fix", "lag=0.09").out
     (tmp_path / "printed.toml").write_text(text)
     assert vehicle(str(tmp_path / "printed.toml")).m == BASE.m
+    assert vehicle(str(tmp_path / "printed.toml")).name == "lap-car"
 
 
 def test_the_car_that_is_given_is_the_one_that_was_described(monkeypatch: pytest.MonkeyPatch, cli: Any) -> None:

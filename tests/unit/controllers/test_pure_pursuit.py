@@ -3,6 +3,7 @@
 import math
 from functools import partial
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle, straight
+from steerkit.paths.path import Path
 from tests.support.ranges import keeps_range
 from tests.support.straight_road import PASSAT, looped
 
@@ -35,6 +37,10 @@ def test_beyond_the_end_of_an_open_path_it_goes_straight_on(over: float) -> None
     assert steered(pursuit, s=50.0, x=50.0 + over, y=0.0, psi=0.0, v=5.0) == pytest.approx(0.0, abs=1e-9)
     aside = steered(pursuit, s=50.0, x=50.0 + PASSAT.l_r + over, y=0.2, psi=0.0, v=9.0)
     assert aside == pytest.approx(steered(pursuit, s=20.0, x=20.0 + PASSAT.l_r, y=0.2, psi=0.0, v=9.0))
+    slanting = Path.from_waypoints(25.0 * np.outer(range(3), (0.8, 0.6)), closed=False)
+    ahead = 50.0 + PASSAT.l_r + over
+    there = {"x": 0.8 * ahead - 0.6 * 0.2, "y": 0.6 * ahead + 0.8 * 0.2, "psi": math.atan2(0.6, 0.8)}
+    assert steered(PurePursuit.of(PASSAT, slanting), s=50.0, v=9.0, **there) == pytest.approx(aside)
 
 
 def test_nan_shows_and_a_negative_speed_is_a_standstill() -> None:

@@ -9,6 +9,7 @@ import time
 import xml.etree.ElementTree as xml
 from base64 import b64decode
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
@@ -161,11 +162,12 @@ def test_the_car_tells_before_the_motor_and_who_was_last_before_the_wheel() -> N
 def test_a_long_way_is_shown_with_fewer_points(tmp_path: Path) -> None:
     x = np.arange(9000.0)
     y = np.where(x == 3.0, np.nan, 0.0)
-    to_mcap(Log(x, {"x": x, "y": y}, {"x": "m", "y": "m"}), tmp_path / "a.mcap")
+    to_mcap(Log(0.997 * x, {"x": x, "y": y}, {"x": "m", "y": "m"}), tmp_path / "a.mcap")
     found = messages(tmp_path / "a.mcap")
     assert [values["y"] for _, values in found["/car"][2:5]] == [0.0, None, 0.0], "null, as JSON has it"
-    ((_, shown),) = found["/scene/driven"]
-    way = shown["poses"]
+    ((when, shown),) = found["/scene/driven"]
+    way, stamp = shown["poses"], datetime.fromisoformat(shown["timestamp"])
+    assert (stamp - datetime.fromtimestamp(0.0, UTC)) // timedelta(microseconds=1) == when // 1000
     assert foxglove.MOST <= len(way) <= 2 * foxglove.MOST
     assert way[-1]["position"]["x"] > 8990.0
 

@@ -118,6 +118,12 @@ def test_rows_of_another_length_are_told_and_left_out(text: str, rows: Any, told
     assert re.fullmatch(f"dropped {told}.*", notes[0]) if told else not notes
 
 
+def test_a_file_of_an_old_program_is_read_byte_by_byte(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes("t [s],Lenkwinkel [°],wz [°/s]\n1,2,3\n4,5,6\n".encode("latin-1"))
+    (table,) = tables.read_csv(tmp_path / "a.csv", (), [])
+    assert table.units == {"t": "s", "Lenkwinkel": "°", "wz": "°/s"}
+
+
 def test_of_arrays_those_are_read_that_hold_numbers_and_of_the_commonest_length(tmp_path: Path) -> None:
     word, long = np.array(["a", "b"]), np.arange(9.0)
     np.savez(tmp_path / "a.npz", t=[0.0, 1.0], on=[True, False], n=[3, 4], word=word, one=[1.0], long=long)

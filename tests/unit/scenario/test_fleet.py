@@ -19,6 +19,7 @@ def test_a_drawn_scenario_has_the_cars_own_delay_and_an_unseen_course() -> None:
         assert scenario.sensors == Scenario.under("hard").sensors
         assert scenario.course.name == f"random-{1000 + number}"
         assert (scenario.path().samples.kappa == random_course(1000 + number).samples.kappa).all()
+        assert scenario.course.start == straightest(scenario.path())
         assert scenario == fleet_scenario(number)
 
 

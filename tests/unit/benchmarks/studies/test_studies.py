@@ -28,6 +28,10 @@ KEYS = {
     "car_calibration": "coverage_pct delay_lag_valid_pct faults rows steer_ratio_error worst_e_m",
     "car_kill": "controller kills server trainer",
     "car_realtime": "frames_replayed_exactly jitter_p99_ms misses recording_mb rms_e_m steps",
+    "foreign": (
+        "drives recovery_back_share recovery_lost recovery_max_e recovery_stays_share recovery_swing_worst "
+        "recovery_swings rows"
+    ),
     "gym_steps": "conditions steps_per_cpu_second vector_steps_per_second x_sync_vector_env",
     "learning": "final_rms_e_worst good_median good_share outcomes seeds setting",
     "mpc_solve": (
@@ -118,6 +122,12 @@ def sensible(name: str, f: Any) -> None:
             assert f["requests_replayed_exactly"] == f["requests"]
             # a busy machine leaves steps out; one that stands still loses the car
             assert 60 - f["misses"] <= f["steps"] <= 60 or f["lost"]
+        case "foreign":
+            (row,) = f["rows"]
+            assert (row["controller"], row["car"], row["told"]) == ("auto", "torque", "1")
+            assert len(f["drives"]) == f["recovery_drives"] == 1
+            assert f["recovery_lost"] == 0
+            assert 0.01 < f["recovery_max_e"] < 3.0
         case "gym_steps":
             assert all(rate > 0.0 for rates in f["steps_per_cpu_second"].values() for rate in rates.values())
             assert f["x_sync_vector_env"] > 3.0

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.studies import learning, throughput, tune_stanley
+from benchmarks.studies import foreign, learning, throughput, tune_stanley
 from steerkit.diagram.simulation import Log
 from steerkit.task import DT
 
@@ -54,3 +54,30 @@ def test_ways_that_compute_something_else_are_not_timed(monkeypatch: pytest.Monk
     monkeypatch.setattr(throughput.python_control, "run", lambda made, steps: run(made, steps) + 1e-9)
     with pytest.raises(SystemExit, match=r"the ways disagree by 1\.00e-09 m"):
         throughput.require_equal_runs(throughput.closed_loop())
+
+
+def swing(amplitude: float, seconds: float = 40.0, *, period: float = 4.0, about: float = 0.0) -> Any:
+    t = DT * np.arange(round(seconds / DT))
+    return t, about + amplitude * np.sin(2.0 * math.pi * t / period)
+
+
+def test_a_limit_cycle_is_what_swings_regularly_by_more_than_a_decimetre() -> None:
+    amplitude, period = foreign.limit_cycle(*swing(0.3, about=0.5))
+    assert (amplitude, period) == (pytest.approx(0.3, rel=0.01), pytest.approx(4.0, rel=0.02))
+    assert foreign.limit_cycle(*swing(0.09)) == (0.0, pytest.approx(NAN, nan_ok=True))
+    assert foreign.limit_cycle(*swing(0.3, 9.0))[0] == 0.0, "two periods are none yet"
+    t, e = swing(0.3)
+    assert foreign.limit_cycle(t, np.where(t < 12.0, e, 0.0))[0] == pytest.approx(0.3, rel=0.01)
+    wander = np.where(t % 5.0 < 1.0, 0.3, -0.3)
+    assert foreign.limit_cycle(t, wander)[0] == 0.0, "not regular"
+
+
+def test_a_drive_that_ends_early_is_lost() -> None:
+    t, e = swing(0.05)
+    assert foreign.judged(t, e, 40.0) == foreign.Recovery(
+        max_e=pytest.approx(0.05, rel=0.01), back=True, stays=True, swing=0.0, period=pytest.approx(NAN, nan_ok=True)
+    )
+    late = np.where(t > 30.0, 0.6, e)
+    assert (foreign.judged(t, late, 40.0).back, foreign.judged(t, late, 40.0).stays) == (True, False)
+    ended = foreign.judged(t[:500], e[:500], 40.0)
+    assert (ended.max_e, ended.back, ended.stays) == (math.inf, False, False)

@@ -80,6 +80,7 @@ def test_a_car_that_stands_or_reverses_keeps_its_wheel(kind: Any, v: float) -> N
     y = driven(block, [inputs(block, e=0.3, delta_sw_meas=0.4), *[inputs(block, e=0.3, v=v)] * 3])
     assert [row.status for row in y] == [0.0, 3.0, 3.0, 3.0]
     assert [row.fault for row in y[1:]] == [4.0] * 3
+    assert [row.residual for row in y[1:]] == [0.0] * 3
     assert {row.delta_sw for row in y[1:]} == {y[0].delta_sw}
     assert driven(block, [inputs(block, v=0.0), inputs(block, v=5.0)])[1].status == 0.0
 

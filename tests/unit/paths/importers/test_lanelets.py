@@ -98,7 +98,7 @@ def test_lanelets_follow_each_other_where_both_bounds_do(tmp_path: FilePath) -> 
     lanes = relation(21, 11, 12, speed_limit="30 km/h"), relation(22, 13, 14)
     file = osm_file(tmp_path / "a.osm", *ways, *lanes)
     found = osm(str(file))
-    assert found.kind == "lanelet"
+    assert (found.kind, found.drawn) == ("lanelet", True)
     assert found.pieces["21"].next == ("22",)
     first = found.pieces["21"].line()
     assert first.v_limit is not None
