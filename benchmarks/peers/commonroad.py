@@ -75,8 +75,8 @@ class CommonRoadMultiBody(Car):
         from vehiclemodels.parameters_vehicle3 import parameters_vehicle3
         from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
-        kinds = (parameters_vehicle2, parameters_vehicle1, parameters_vehicle3)
-        return vehicle_dynamics_mb, init_mb, kinds[CARS.index(self.vehicle)]()
+        kinds = {FORD_ESCORT: parameters_vehicle1, BMW_320I: parameters_vehicle2, VW_VANAGON: parameters_vehicle3}
+        return vehicle_dynamics_mb, init_mb, kinds[self.vehicle]()
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         require(not batch, "CommonRoadMultiBody", "one car at a time: it cannot be batched")

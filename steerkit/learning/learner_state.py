@@ -273,19 +273,8 @@ class LearnerState:
         not, did recovery take over? progress: along the path [m]. e: cross-track error [m], which its state may hold
         with noise. engaged: does learner or recovery steer, and no human?
         """
-        before, sound = self.before, all(map(math.isfinite, s))
-        if before is not None and (before.number != number - 1 or not sound):
-            before = None
-        done = before.action if before is not None else 0.0
-        if before is not None and not before.own:
-            done = self._element.action_for(s[DOE], before.s[DOE])
-            if abs(done) > self._largest:
-                before = None  # the motor may not follow, and that looks like dead time
-        if before is not None:
-            row = (before.s, done, tuple(s), before.episode, before.own)
-            self.transitions.append(*row)
-            if self._also is not None:
-                self._also(*row)
+        sound = all(map(math.isfinite, s))
+        before = self._completed(number, s) if sound else None
         models = engaged and not learning and self.setting.models_recovery and abs(s[PSI_E]) < TURNED
         self.before = None
         if sound and (models or (learning and math.isfinite(action))):
@@ -298,6 +287,22 @@ class LearnerState:
             return self.counts.ended(t, failed=failed)
         self.counts.steered(t, progress=progress, e=e, round_length=self._round_length)
         return None
+
+    def _completed(self, number: int, s: Sequence[float]) -> Before | None:
+        """Record the transition that sample `number`, in state s, completes; its first half, if there is one."""
+        before = self.before
+        if before is None or before.number != number - 1:
+            return None
+        action = before.action
+        if not before.own:
+            action = self._element.action_for(s[DOE], before.s[DOE])
+            if abs(action) > self._largest:
+                return None  # the motor may not follow, and that looks like dead time
+        row = (before.s, action, tuple(s), before.episode, before.own)
+        self.transitions.append(*row)
+        if self._also is not None:
+            self._also(*row)
+        return before
 
     def forget(self) -> None:
         """The next sample does not follow from the last one: the car was relocated, or time has passed."""

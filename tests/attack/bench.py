@@ -25,6 +25,8 @@ from steerkit.car.estimates import CarEstimators
 from tests.attack import wire
 from tests.attack.car import FRONT, Car, Course, road, stadium, stanley
 
+SPEEDS = (2.0, 5.0, 7.0)
+"""At which attacks are tried [m/s]."""
 STEP = 0.005
 WATCHDOG = 0.1
 SETTLE = 2.5

@@ -1,19 +1,20 @@
 """All attacks at all speeds, as a table in Markdown: `python -m tests.attack.table [--jobs 2]`, or `make attacks`.
 
 With `--controllers mpc lqr ...` those of the product steer, and each has a column instead of each speed. `--liars`:
-every lie that agrees with itself, with every controller, at every speed, to two cars, calibrated and not: 2,160 drives.
+every lie that agrees with itself, with every controller (or those), at every speed, to two cars, calibrated and not:
+2,160 drives.
 """
 
 import argparse
 import itertools
 import math
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 from tests.attack.attacks import ATTACKS, LIARS
-from tests.attack.bench import driven
+from tests.attack.bench import SPEEDS, driven
 from tests.attack.product import CONTROLLERS, HARMLESS, driven_by, lied_to, sooner
-from tests.attack.test_attacks import SPEEDS
 
 
 def row(name: str) -> str:
@@ -41,12 +42,12 @@ def compared(name: str, controllers: list[str]) -> str:
     return f"| {' | '.join(cells)} |{f' **MISSED** {wrong} |' if wrong else ''}"
 
 
-def lies(name: str, seed: int, lead: float) -> str:
+def lies(name: str, controllers: Sequence[str], seed: int, lead: float) -> str:
     """One liar, to cars that were calibrated and not: how many drives within 0.5 m, 1 m; the worst; what was said."""
     cells, wrong, unheld = [name], [], 0
     for known in (True, False):
         within, worst, soonest, drives = 0, 0.0, math.inf, 0
-        for controller, speed, kinematic in itertools.product(("own", *CONTROLLERS), SPEEDS, (False, True)):
+        for controller, speed, kinematic in itertools.product(controllers, SPEEDS, (False, True)):
             drive = lied_to(name, controller, speed, known=known, kinematic=kinematic, seed=seed, lead=lead)
             if not drive.engaged_at_onset():
                 unheld += 1
@@ -76,7 +77,8 @@ def main() -> None:
     if options.liars:
         heads = ["calibrated: within 0.5 m", "worst excess [m]", "said: not 0.5 m off before [s]"]
         heads += ["not: within 1 m", *heads[1:], "not engaged", "sooner than said"]
-        line, names = partial(lies, seed=options.seed, lead=options.lead), LIARS
+        steering = options.controllers or ("own", *CONTROLLERS)
+        line, names = partial(lies, controllers=steering, seed=options.seed, lead=options.lead), LIARS
     elif options.controllers:
         heads = [f"{name} [ms / m / m/s²]" for name in options.controllers]
     else:

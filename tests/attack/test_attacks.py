@@ -4,14 +4,16 @@ All attacks at all speeds, as a table: `python -m tests.attack.table`.
 """
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from tests.attack import table
 from tests.attack.attacks import ATTACKS, LIARS
-from tests.attack.bench import Attack, Drive, calibrated, driven
+from tests.attack.bench import SPEEDS, Attack, Drive, calibrated, driven
 from tests.attack.product import CONTROLLERS, HARMLESS, driven_by, lied_to, sooner
 
-SPEEDS = (2.0, 5.0, 7.0)
 FAST = (
     "x and y stand still, bend",
     "all of the pose stands still but stamp and counter, bend",
@@ -69,6 +71,21 @@ def test_a_lie_that_agrees_with_itself_leads_nobody_further_off_than_the_panel_s
     assert drive.engaged_at_onset()
     assert not sooner(drive, known=known)
     assert drive.bus_faults() == []
+
+
+def test_the_table_of_liars_counts_its_drives_and_names_those_that_were_led_off_too_soon(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def led(name: str, controller: str, speed: float, *, known: bool, kinematic: bool, **_: object) -> Any:
+        off, at = (0.8, 1.5 if kinematic else 0.9) if speed == 7.0 else (0.2, math.inf)
+        return SimpleNamespace(
+            engaged_at_onset=lambda: speed != 2.0, excess=lambda: off, reached=lambda by: at, astray=1.0
+        )
+
+    monkeypatch.setattr(table, "lied_to", led)
+    row, _, wrong = table.lies("a lie", ["lqr"], seed=0, lead=0.0).partition(" **MISSED** ")
+    assert row == "| a lie | 2 of 4 | 0.80 | 1.00 | 4 of 4 | 0.80 | 1.00 | 4 | 1 |"
+    assert wrong == "['lqr, 7 m/s, known=True, kinematic=False: 0.90 s, said 1.00 s, 0.80 m']"
 
 
 @pytest.mark.parametrize("where", ["bend", "entry"])
