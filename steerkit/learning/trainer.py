@@ -146,6 +146,8 @@ class Trainer:
         _require_newer(job, self._newest)
         if self._closed:
             raise RuntimeError("Trainer: closed; make a new one")
+        while self._jobs and self._futures[0].done():  # what nobody fetched is not done again if the process dies
+            self._result()
         self._newest = job.number
         if not self._jobs:
             self._heard = time.monotonic()

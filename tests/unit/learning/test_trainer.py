@@ -220,6 +220,19 @@ def test_kill_9_while_idle_costs_the_next_job_nothing(own: Trainer) -> None:
     assert own.faults[0].startswith(f"training process {old} died ")
 
 
+def test_what_was_trained_and_not_fetched_is_not_trained_again(own: Trainer) -> None:
+    """Nobody fetches while the recovery controller cannot hand over."""
+    for number in (1, 2):
+        own.submit(job(number))
+        until(own.idle)
+    assert own.pid is not None
+    os.kill(own.pid, signal.SIGKILL)
+    until(lambda: not alive(own.pid or 0))
+    own.submit(job(3))
+    assert [waiting.number for waiting in own._jobs] == [3]
+    assert same(until(own.poll).nets, expected(3, expected(2, expected(1))))
+
+
 def test_a_job_that_kills_its_process_is_given_up_and_the_next_one_works(own: Trainer) -> None:
     own.submit(job(1, cost=Deadly()))
     result = until(own.poll)
