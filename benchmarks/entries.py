@@ -16,6 +16,8 @@ from steerkit.scenario.catalogue import OWN, make_controller
 Make = Callable[[Scenario], Block]
 ORACLE = "-oracle"
 """Suffix of a controller that knows the true parameters, whatever the scenario lets controllers believe."""
+WRONG, TOO_LONG = "-told-wrong", 1.5
+"""Suffix of one that is told a dead time so many times too long, and all else truly."""
 TELLABLE = ("stanley-delay", "lqr", "mpc")
 """Analytic controllers that make use of all that the truth tells."""
 
@@ -38,6 +40,8 @@ class Controller:
     """Where it learns: a name of `trainings.TRAININGS`."""
     oracle: bool = False
     """It knows the true parameters of car and steering; else what the scenario lets controllers believe."""
+    wrong: float = 1.0
+    """What it is told of the dead time over the truth, if not 1 [1]."""
     needs: str = ""
     """Package that it cannot do without."""
 
@@ -56,7 +60,11 @@ class Controller:
 
     def as_believed(self, scenario: Scenario) -> Scenario:
         """The scenario with what this controller believes of it."""
-        return scenario.with_(knowledge={"oracle": True, "delay": None, "lag": None}) if self.oracle else scenario
+        if not self.oracle and self.wrong == 1.0:
+            return scenario
+        truth = scenario.with_(knowledge={"oracle": self.oracle, "delay": None, "lag": None})
+        late = self.wrong * truth.believed_dead_time
+        return truth if self.oracle else truth.with_(knowledge={"delay": round(min(late, 2.0), 3)})
 
 
 def _catalogued(name: str) -> Make:
@@ -97,6 +105,16 @@ _TABLE = (
             about=f"{name}, given the true parameters of car and steering",
             make=_catalogued(name),
             oracle=True,
+        )
+        for name in TELLABLE
+    ),
+    *(
+        Controller(
+            name=f"{name}{WRONG}",
+            kind="analytic",
+            about=f"{name}, told {TOO_LONG:g} times the true dead time",
+            make=_catalogued(name),
+            wrong=TOO_LONG,
         )
         for name in TELLABLE
     ),

@@ -10,7 +10,8 @@ from functools import cache
 from pathlib import Path as FilePath
 from typing import Any
 
-from benchmarks.entries import ORACLE, TELLABLE, controller
+from benchmarks.entries import ORACLE, TELLABLE, WRONG, controller
+from benchmarks.foreign_cars import foreign_scenarios
 from benchmarks.run.results import case_id
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import MULTI_BODY, scene, unlike_the_data_sheet
@@ -225,6 +226,24 @@ def _adapt_quick() -> Suite:
 
 
 @cache
+def _foreign() -> Suite:
+    return Suite(
+        name="foreign",
+        about="cars that no one here wrote: learned on that car; analytic untold, told wrongly, truly, adapting",
+        scenarios=foreign_scenarios(),
+        controllers=(
+            "stanley",
+            *(name + told for name in TELLABLE for told in ("", WRONG, ORACLE)),
+            "stanley-adaptive",
+            "lqr-adaptive",
+            "nfq-same-car-1",
+            "nfq-same-car-5",
+        ),
+        seeds=2,
+    )
+
+
+@cache
 def _compute() -> Suite:
     return Suite(
         name="compute",
@@ -282,6 +301,7 @@ SUITES: dict[str, Callable[[], Suite]] = {
     "peers": _peers,
     "adapt": _adapt,
     "adapt-quick": _adapt_quick,
+    "foreign": _foreign,
     "compute": _compute,
     "quick": _quick,
     "golden": _golden,

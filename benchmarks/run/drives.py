@@ -114,6 +114,8 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
     end = min(_first(off), _first(over) + 1)
     driven = {ours: log[theirs][:end] for ours, theirs in SIGNALS.items() if theirs in log}
     t = log.t[:end]
+    if "delta_sw_rate" not in driven:  # a car that steers itself has no actuator
+        driven["delta_sw_rate"] = np.gradient(driven["delta_sw"], t) if end > 1 else np.zeros(end)
     held = bool(over.any()) and _first(over) < _first(off) and bool((np.abs(driven["e"]) <= TRIP).all())
     share = float(np.clip(progress[max(0, end - 1)] / length, 0.0, 1.0)) if end else 0.0
     metrics = {"held": float(held), "rounds": scenario.course.rounds * share, "duration": float(t[-1]) if end else 0.0}

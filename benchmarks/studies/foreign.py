@@ -1,9 +1,11 @@
-"""Recovery on cars that no one here wrote, at several speeds, told their dead time rightly, wrongly or not at all.
+"""Recovery, learners and adaptive controllers on cars that no one here wrote, told rightly, wrongly or not at all.
 
-Every drive starts 1 m and 5 degrees off, to either side by its seed, where a course hardly bends: `random-N` below 8
-m/s, `sweeping-N` (wide bends and straights) above, N by the seed. Cars: `torque`, made from the measured answers of a
-production car (`benchmarks.plants.torque_car`); `mujoco`, a free body on four suspended wheels; `commonroad-1` to
-`-3`, CommonRoad's multi-body cars. The torque car has 0.5 s of dead time of its own, the others 0.2 s and a motor.
+Cars: `torque`, made from the measured answers of a production car (`benchmarks.plants.torque_car`); `mujoco`, a free
+body on four suspended wheels; `commonroad-1` to `-3`, CommonRoad's multi-body cars. The torque car has 0.5 s of dead
+time of its own, the others 0.2 s and a motor. Courses: `random-N` below 8 m/s, `sweeping-N` (wide bends and straights)
+above, N by the seed. Judged by the simulated truth.
+
+**recovery**: every drive starts 1 m and 5 degrees off, to either side by its seed, where a course hardly bends; clean.
 
 * recovery_max_e: largest |e| after 15 s, of the worst drive.
 * recovery_swings: drives with a limit cycle: after 15 s, four half-periods on end or more whose durations are within a
@@ -14,66 +16,65 @@ production car (`benchmarks.plants.torque_car`); `mujoco`, a free body on four s
 They are those of `auto`, the recovery that the catalogue picks, over all drives; `rows` has each controller, car, speed
 and dead time told. A drive is lost, and ends, at |e| = 20 m. Told `none`: that there is no dead time.
 
-    python -m benchmarks study foreign [--controllers NAME ...] [--cars CAR ...] [--seeds N] [--quick] [--json]
+**adaptive**: the same starts and speeds, a minute, told a lag of 0.02 and of 0.2 s. adaptive_spread: by what factor RMS
+e after 20 s differs, at worst over cars, speeds, seeds, `lqr-adaptive` and `stanley-adaptive`.
+
+**learner**: each seed learns for --minutes in two ranges of speed, `hard` sensors. GOOD is when a net takes the wheel
+that drives a whole round as `study learning` asks. good_share, good_median_s and good_worst_s are over all runs;
+rms_x_best_told and wheel_x_best_told are the final net's RMS e and wheel rate over those of the best analytic
+controller that is told all that can be told, and wheel_spread_nets is by what factor a wheel rate of the last 20 nets
+is off their median: each the median over seeds of the car and range where it is largest (`_torque`, `_others`: of these
+cars; `_worst`: of the worst run; rms_x_after_1_minute: of the net that steered then).
+
+**changes**: a learner with the safety filter drives for --phase minutes, then the car changes, and nobody is told
+(`benchmarks.run.changes`). changes_recovered_s: from the change to the end of the first 20 s in which RMS e is within
+1.2 times that of the best made for the new car (analytic and told, or newly learned) on the same stretches;
+changes_x_best: the same ratio from 60 s on; changes_departures: changes after which |e| exceeds 0.5 m. All of the worst
+change.
+
+Figures that are infinite (never, or lost) are null. With --keep each drive is kept as it ends, and the same command
+goes on after a stop.
+
+    python -m benchmarks study foreign [--parts PART ...] [--cars CAR ...] [--seeds N] [--keep FILE] [--quick] [--json]
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import lru_cache
-from types import MappingProxyType
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from benchmarks.peers.commonroad import VANAGON_FILE
-from benchmarks.run import spread
-from benchmarks.scenarios import MULTI_BODY
-from steerkit.diagram.simulation import simulate
+from benchmarks.foreign_cars import CARS, HOME, scene, told
+from benchmarks.run import changes, kept, spread
+from benchmarks.run.changes import CHANGES, one_change
+from benchmarks.run.foreign_learning import TOLD as ANALYTIC
+from benchmarks.run.foreign_learning import Job as LearnerJob
+from benchmarks.run.foreign_learning import one_learner
+from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import radians_of
+from steerkit.metrics.signals import rms
 from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import placed
 from steerkit.scenario.catalogue import AUTO, RECOVERIES, make_controller, make_recovery
 from steerkit.scenario.drive import assembled
-from steerkit.scenario.fleet import straightest
 from steerkit.scenario.scenario import CONDITIONS
+from steerkit.task import TRIP
 
+PARTS = ("recovery", "adaptive", "learner", "changes")
 BACK, SETTLED, STAYS, LOST = 15.0, 0.3, 0.5, 20.0  # s, m, m, m
 AMPLITUDE, HALVES, REGULAR = 0.1, 4, 1.5  # m, half-periods, factor
 OFF, TURNED = 1.0, radians_of(5.0)
 TOLD = ("0.5", "1", "1.5", "none")
-_MOTOR = {"delay": 0.2, "lag": 0.12}
-
-
-@dataclass(frozen=True)
-class Foreign:
-    """A foreign car: plant and data sheet, the steering in front of it or told of it, and speeds."""
-
-    plant: str
-    steering: Mapping[str, Any]
-    vehicle: Mapping[str, str] = field(default_factory=lambda: {"name": "vw-passat"})
-    speeds: tuple[float, ...] = (5.0, 10.0, 20.0)
-
-
-CARS: Mapping[str, Foreign] = MappingProxyType(
-    {
-        "torque": Foreign(
-            plant="benchmarks.plants.torque_car:TorqueCar",
-            steering={"command": "torque", "delay": 0.5, "lag": 0.1, "slew": 5.0, "a_y_limit": 3.0},
-            speeds=(8.0, 12.0, 16.0),
-        ),
-        "mujoco": Foreign("benchmarks.plants.mujoco_car:MujocoCar", _MOTOR),
-        "commonroad-1": Foreign(MULTI_BODY, _MOTOR, {"name": "ford-escort"}),
-        "commonroad-2": Foreign(MULTI_BODY, _MOTOR, {"name": "bmw-320i"}),
-        "commonroad-3": Foreign(MULTI_BODY, _MOTOR, VANAGON_FILE),
-    }
-)
+ADAPTIVE, LAGS, ADAPTED = ("lqr-adaptive", "stanley-adaptive"), (0.02, 0.2), 20.0  # s, s
 
 
 @dataclass(frozen=True)
@@ -102,41 +103,56 @@ class Recovery:
     """Its period [s]; NaN without one."""
 
 
-@lru_cache(maxsize=64)
-def scene(car: str, speed: float, seed: int, conditions: str = "clean") -> Scenario:
-    """That car at that speed, told the truth."""
-    foreign, course = CARS[car], f"{'sweeping' if speed >= 8.0 else 'random'}-{7 + seed}"
-    start = straightest(Scenario(course=course).path(), 10.0 * speed if speed >= 8.0 else 20.0)
-    return Scenario.under(
-        conditions,
-        name=car,
-        course={"name": course, "start": start},
-        vehicle={**foreign.vehicle, "plant": foreign.plant},
-        driver={"v_min": speed, "v_max": speed},
-        steering=dict(foreign.steering),
-    )
+@dataclass(frozen=True)
+class AdaptiveJob:
+    """One drive of an adaptive controller that is told a lag [s]."""
+
+    car: str
+    speed: float
+    controller: str
+    lag: float
+    seed: int
+    seconds: float
+    conditions: str
 
 
-def told(scenario: Scenario, factor: str) -> Scenario:
-    """The scenario with that much of its dead time told: a factor, or `none`."""
-    return scenario.with_(knowledge={"delay": 0.0 if factor == "none" else float(factor) * scenario.believed_dead_time})
+@dataclass(frozen=True)
+class Adapted:
+    """What became of it."""
+
+    rms_e: float
+    """After `ADAPTED` [m]; infinite for a lost drive."""
 
 
 def one_drive(job: Job) -> Recovery:
     """Drive it."""
-    scenario = told(scene(job.car, job.speed, job.seed, job.conditions), job.told)
-    make = make_recovery if job.controller in RECOVERIES else make_controller
-    loop = assembled(scenario, make(job.controller, scenario.design_model()), seed=job.seed)
-    side, turn = (1.0 if job.seed % 2 == 0 else -1.0), (1.0 if job.seed // 2 % 2 == 0 else -1.0)
+    scenario = scene(job.car, job.speed, job.speed, job.seed, job.conditions)
+    scenario = told(scenario, 0.0 if job.told == "none" else float(job.told))
+    log = from_beside(scenario, job.controller, job.seed, job.seconds)
+    return judged(log.t, log["path.e"], job.seconds)
+
+
+def one_adaptive(job: AdaptiveJob) -> Adapted:
+    """Drive it."""
+    scenario = scene(job.car, job.speed, job.speed, job.seed, job.conditions).with_(knowledge={"lag": job.lag})
+    log = from_beside(scenario, job.controller, job.seed, job.seconds)
+    held = log.t[-1] >= job.seconds - 0.1
+    return Adapted(rms(log["path.e"][log.t >= min(ADAPTED, 0.5 * job.seconds)]) if held else math.inf)
+
+
+def from_beside(scenario: Scenario, controller: str, seed: int, seconds: float) -> Log:
+    """A drive that starts beside the path, until it is lost."""
+    make = make_recovery if controller in RECOVERIES else make_controller
+    loop = assembled(scenario, make(controller, scenario.design_model()), seed=seed)
+    side, turn = (1.0 if seed % 2 == 0 else -1.0), (1.0 if seed // 2 % 2 == 0 else -1.0)
     start = placed(loop.blocks["car"], scenario.path(), s=scenario.course.start, e=side * OFF, psi_e=turn * TURNED)
-    log = simulate(
+    return simulate(
         loop.with_block("car", start),
-        job.seconds,
+        seconds,
         every=5,
         until=lambda sample: not abs(sample["path.e"]) < LOST,
         allow_nonfinite=True,
     )
-    return judged(log.t, log["path.e"], job.seconds)
 
 
 def judged(t: Any, e: Any, seconds: float) -> Recovery:
@@ -177,60 +193,214 @@ def limit_cycle(t: Any, e: Any) -> tuple[float, float]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Its own command line options; --quick is one drive of 25 s."""
-    parser.add_argument("--controllers", nargs="+", default=[], metavar="NAME", help=f"beside {AUTO}")
-    parser.add_argument(
-        "--cars", nargs="+", default=list(CARS), choices=list(CARS), metavar="CAR", help=", ".join(CARS)
-    )
+    """Its own command line options; --quick is a short drive of each part."""
+    cars = f"{', '.join(CARS)}; of the changes: {HOME}, mujoco, ..."
+    parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=PARTS, metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--cars", nargs="+", default=None, choices=[*CARS, HOME], metavar="CAR", help=cars)
+    parser.add_argument("--controllers", nargs="+", default=[], metavar="NAME", help=f"of the recovery, beside {AUTO}")
     parser.add_argument("--told", nargs="+", default=list(TOLD), metavar="X", help="times the true dead time, or none")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=40.0, help="of each drive")
-    parser.add_argument("--conditions", default="clean", choices=list(CONDITIONS))
+    parser.add_argument("--seconds", type=float, default=40.0, help="of each drive of the recovery")
+    parser.add_argument("--minutes", type=float, default=5.0, help="of each learner")
+    parser.add_argument("--phase", type=float, default=2.0, help="minutes before and after each change")
+    parser.add_argument("--changes", nargs="+", default=list(CHANGES), choices=list(CHANGES), metavar="CHANGE")
+    parser.add_argument("--last", type=int, default=20, help="of how many of the last nets wheel rates are compared")
+    usual = "default: clean for recovery and adaptive, else hard"
+    parser.add_argument("--conditions", default=None, choices=list(CONDITIONS), help=usual)
+    parser.add_argument("--keep", default="", metavar="FILE", help="keeps drives; those in it are not made again")
+    parser.add_argument("--at-most", type=float, default=math.inf, metavar="MINUTES", help="then no drive is begun")
     spread.add_options(parser)
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Make the drives, print a table."""
-    quick = options.quick
+def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
+    """What a part drives, seed by seed, so that a study that is stopped has all cars."""
+    quick, clean, hard = options.quick, options.conditions or "clean", options.conditions or "hard"
     seeds = range(options.first_seed, options.first_seed + (1 if quick else options.seeds))
-    jobs = [
-        Job(car, speed, factor, name, seed, 25.0 if quick else options.seconds, options.conditions)
-        for car in (options.cars[:1] if quick else options.cars)
-        for name in (AUTO, *options.controllers)
-        for speed in CARS[car].speeds[: 1 if quick else None]
-        for factor in (("1",) if quick else options.told)
+    cars = [car for car in options.cars or CARS if car in CARS][: 1 if quick else None]
+    if part == "recovery":
+        return [
+            Job(car, speed, factor, name, seed, 25.0 if quick else options.seconds, clean)
+            for seed in seeds
+            for car in cars
+            for name in (AUTO, *options.controllers)
+            for speed in CARS[car].speeds[: 1 if quick else None]
+            for factor in (("1",) if quick else options.told)
+        ]
+    if part == "adaptive":
+        return [
+            AdaptiveJob(car, speed, name, lag, seed, 8.0 if quick else 60.0, clean)
+            for seed in seeds
+            for car in cars
+            for speed in CARS[car].speeds[: 1 if quick else None]
+            for name in ADAPTIVE[: 1 if quick else None]
+            for lag in LAGS
+        ]
+    if part == "learner":
+        how = (0.2, hard, 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, hard, options.last)
+        return [
+            LearnerJob(car, *speeds, seed, *how)
+            for seed in seeds
+            for car in cars
+            for speeds in CARS[car].ranges[: 1 if quick else None]
+        ]
+    short: dict[str, Any] = {"minutes": 0.1, "told": ("lqr",), "rounds": 0.1} if quick else {"minutes": options.phase}
+    every = [
+        changes.Job(car=car, change=change, seed=seed, conditions=hard, **short)
         for seed in seeds
+        for change in options.changes
+        for car in CHANGES[change].cars
+        if car in (options.cars or (HOME, "mujoco"))
     ]
-    err = Console(stderr=True)
+    return every[:1] if quick else every
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Make the drives, print tables."""
+    how: dict[str, tuple[Callable[[Any], Any], Callable[[list[kept.Row]], dict[str, Any]]]] = {
+        "recovery": (one_drive, recovery_figures),
+        "adaptive": (one_adaptive, adaptive_figures),
+        "learner": (one_learner, learner_figures),
+        "changes": (one_change, changes_figures),
+    }
+    until, report = time.monotonic() + 60.0 * options.at_most, dict[str, Any]()
+    say = partial(Console(stderr=True).print, soft_wrap=True, markup=False, highlight=False)
+    keep, left, codes = Path(options.keep) if options.keep else None, 0, set[str]()
     with spread.computing(spread.where(options)) as those:
-        made = dict(track(those.done(one_drive, jobs, say=err.print), total=len(jobs), console=err))
-    drives = [(job, made[number]) for number, job in enumerate(jobs)]
-    rows = [
-        {"controller": name, "car": car, "speed": speed, "told": factor}
-        | figures([drive for job, drive in drives if (job.controller, job.car, job.speed, job.told) == key])
-        for key in dict.fromkeys((job.controller, job.car, job.speed, job.told) for job in jobs)
-        for name, car, speed, factor in (key,)
-    ]
-    table = Table(*[name.replace("_", " ") for name in rows[0]])
+        for part in [part for part in PARTS if part in options.parts]:
+            function, figures = how[part]
+            jobs, rows = jobs_of(part, options), dict[Any, kept.Row]()
+            for job, row in kept.done(function, jobs, those, keep, until, say):
+                rows[job] = row
+                say(f"{part} {len(rows)}/{len(jobs)}: {', '.join(map(_cell, row.values()))}")
+            left += len(jobs) - len(rows)
+            codes |= {row["code"] for row in rows.values()}
+            report |= figures([rows[job] for job in jobs if job in rows]) if rows else {}
+    console = Console(width=150)
+    for key, value in report.items():
+        if not isinstance(value, list):
+            console.print(f"{key:30s} {_cell(value)}", highlight=False)
+    if left:
+        console.print(f"{left} drives are left; the same command with --keep goes on")
+    return report | {"left": left, "codes": len(codes)}
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _show(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    table = Table(*[name.replace("_", " ") for name in rows[0]], title=title)
     for row in rows:
-        table.add_row(*[f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()])
-    Console(width=150).print(table)
+        table.add_row(*map(_cell, row.values()))
+    Console(width=170).print(table)
+
+
+def _groups(rows: Iterable[kept.Row], *names: str) -> dict[tuple[Any, ...], list[kept.Row]]:
+    """Rows by the values of these fields."""
+    groups = dict[tuple[Any, ...], list[kept.Row]]()
+    for row in rows:
+        groups.setdefault(tuple(row[name] for name in names), []).append(row)
+    return groups
+
+
+def recovery_figures(drives: Sequence[kept.Row]) -> dict[str, Any]:
+    """Those of `auto`, and a row a controller, car, speed and dead time told."""
+    names = ("controller", "car", "speed", "told")
+    rows = [dict(zip(names, key)) | _recovered(group) for key, group in _groups(drives, *names).items()]
+    _show("recovery", rows)
     return {
-        **figures([drive for job, drive in drives if job.controller == AUTO]),
+        **_recovered([drive for drive in drives if drive["controller"] == AUTO]),
         "rows": rows,
-        "drives": [asdict(job) | asdict(drive) for job, drive in drives],
+        "drives": list(drives),
     }
 
 
-def figures(drives: Sequence[Recovery]) -> dict[str, Any]:
+def _recovered(drives: Sequence[kept.Row]) -> dict[str, Any]:
     """Worst cases, counts and shares over drives."""
     return {
         "recovery_drives": len(drives),
-        "recovery_max_e": max(drive.max_e for drive in drives),
-        "recovery_swings": sum(drive.swing > 0.0 for drive in drives),
-        "recovery_swing_worst": max(drive.swing for drive in drives),
-        "recovery_lost": sum(not math.isfinite(drive.max_e) for drive in drives),
-        "recovery_back_share": float(np.mean([drive.back for drive in drives])),
-        "recovery_stays_share": float(np.mean([drive.stays for drive in drives])),
+        "recovery_max_e": max(drive["max_e"] for drive in drives),
+        "recovery_swings": sum(drive["swing"] > 0.0 for drive in drives),
+        "recovery_swing_worst": max(drive["swing"] for drive in drives),
+        "recovery_lost": sum(not math.isfinite(drive["max_e"]) for drive in drives),
+        "recovery_back_share": float(np.mean([drive["back"] for drive in drives])),
+        "recovery_stays_share": float(np.mean([drive["stays"] for drive in drives])),
+    }
+
+
+def adaptive_figures(drives: Sequence[kept.Row]) -> dict[str, Any]:
+    """The largest ratio of RMS e of two drives that differ in the lag told only, of each car, controller and speed."""
+    rows = []
+    for (car, name, speed), group in _groups(drives, "car", "controller", "speed").items():
+        pairs = [[drive["rms_e"] for drive in pair] for pair in _groups(group, "seed").values() if len(pair) == 2]
+        if pairs:
+            ratios = [max(pair) / min(pair) if math.isfinite(max(pair)) else math.inf for pair in pairs]
+            spreads = {"adaptive_spread": max(ratios), "median": float(np.median(ratios))}
+            row = {"car": car, "controller": name, "speed": speed, "seeds": len(pairs)} | spreads
+            rows.append(row | {"rms_e_worst": max(map(max, pairs))})
+    if not rows:
+        return {}
+    _show("adaptive controllers, told a lag of 0.02 or 0.2 s", rows)
+    return {"adaptive_spread": max(row["adaptive_spread"] for row in rows), "adaptive_rows": rows}
+
+
+_WORST = {
+    "rms_x_best_told": "rms_x",
+    "rms_x_after_1_minute": "rms_x_1",
+    "wheel_x_best_told": "wheel_x",
+    "wheel_spread_nets": "wheel_spread",
+}
+"""Figures of the learners, and of which field each is."""
+
+
+def learner_figures(runs: Sequence[kept.Row]) -> dict[str, Any]:
+    """Medians and worst cases over the runs; what never happened, or did not hold, is infinite."""
+
+    def good(group: Sequence[kept.Row]) -> dict[str, float]:
+        times = [math.inf if run["good"] is None else run["good"] for run in group]
+        return {
+            "good_share": float(np.mean(np.isfinite(times))),
+            "good_median_s": float(np.median(times)),
+            "good_worst_s": max(times),
+        }
+
+    rows = []
+    for (car, v_min, v_max), group in _groups(runs, "car", "v_min", "v_max").items():
+        row = {"car": car, "v": f"{v_min:g} to {v_max:g} m/s", "seeds": len(group)} | good(group)
+        for name, field in _WORST.items():
+            values = np.array([math.inf if math.isnan(run[field]) else run[field] for run in group])
+            row |= {name: float(np.median(values)), f"{name}_worst": float(values.max())}
+        row |= {name: max(run[name] for run in group) for name in ("failures", "departure", "stuck")}
+        rows.append(row | {"held_share": float(np.mean([run["held"] for run in group]))})
+    _show("learners", rows)
+    report = {"learners": len(runs), **good(runs)}
+    for name in _WORST:
+        report[name] = max(row[name] for row in rows)
+        report[f"{name}_worst"] = max(row[f"{name}_worst"] for row in rows)
+        for kind, mine in (("torque", True), ("others", False)):
+            medians = [row[name] for row in rows if (row["car"] == "torque") == mine]
+            report |= {f"{name}_{kind}": max(medians)} if medians else {}
+    return report | {"learner_rows": rows, "learner_runs": list(runs)}
+
+
+def changes_figures(drives: Sequence[kept.Row]) -> dict[str, Any]:
+    """Worst cases over all changes; what never happened is infinite."""
+    fields = ("best", "best_rms_e", "recovered", "x", "max_e", "failures")
+    rows = [
+        {"car": drive["car"], "change": drive["change"], "n": n + 1, "seed": drive["seed"]}
+        | {name: drive[name][n] for name in fields}
+        for drive in drives
+        for n in range(len(drive["best"]))
+    ]
+    _show("changes", rows)
+    return {
+        "changes": len(rows),
+        "changes_recovered_s": max(row["recovered"] for row in rows),
+        "changes_recovered_median_s": float(np.median([row["recovered"] for row in rows])),
+        "changes_x_best": float(np.max([row["x"] for row in rows])),
+        "changes_x_best_median": float(np.median([row["x"] for row in rows])),
+        "changes_departures": sum(not row["max_e"] <= TRIP for row in rows),
+        "changes_max_e": max(row["max_e"] for row in rows),
+        "changes_rows": rows,
     }

@@ -168,6 +168,8 @@ class Car(Part):
     """Friction coefficient over that of the data sheet [1]."""
     ratio: float = number(1.0, "1", low=0.1, high=10.0)
     """Steering ratio over that of the data sheet [1]."""
+    mass: float = number(1.0, "1", low=0.5, high=2.0)
+    """Mass and moment of inertia over those of the data sheet [1]."""
     text: str | None = field(default=None, repr=False)
     """The text of the file that `name` names; filled in when the part is made."""
 
@@ -185,10 +187,12 @@ class Car(Part):
     def true(self) -> Vehicle:
         """The car as it is."""
         p = self.nominal
-        if (self.tyres, self.friction, self.ratio) == (1.0, 1.0, 1.0):
+        if (self.tyres, self.friction, self.ratio, self.mass) == (1.0, 1.0, 1.0, 1.0):
             return p
         return replace(
             p,
+            m=self.mass * p.m,
+            i_z=self.mass * p.i_z,
             c_f=self.tyres * p.c_f,
             c_r=self.tyres * p.c_r,
             mu=self.friction * p.mu,
@@ -361,6 +365,8 @@ class Sensing(Part):
     """Age of what the controllers see [s], a multiple of 0.05."""
     gyro_zero_deg: float = number(0.0, "deg/s", low=-5.0, high=5.0)
     """What the gyro reports while the car does not turn [deg/s]."""
+    bias: float = number(0.0, "m", low=-10.0, high=10.0)
+    """By how much more than the truth x is reported, as by satellites without correction [m]."""
     estimator: str = _word("none", "vehicle-state", "adaptive-state")
     """What stands between sensors and controllers: `none`; `vehicle-state`, an estimator that is given the sensors'
     noise and the car of the data sheet, needs no sideslip and predicts to now (`VehicleState`); or `adaptive-state`,
@@ -373,12 +379,13 @@ class Sensing(Part):
 
     def sensors(self, nominal: Vehicle, seed: int) -> Block | None:
         """What is measured; None for the truth."""
-        noise, latency, zero = self.noise, self.latency, radians_of(self.gyro_zero_deg)
+        noise, latency = self.noise, self.latency
+        biases: Any = dict(r_bias=radians_of(self.gyro_zero_deg), x_bias=self.bias)
         if self.kind == "real":
             degraded = DegradedSensors.real(nominal, seed).scaled(noise)
-            return replace(degraded, block=replace(degraded.block, r_bias=zero, latency=latency))
+            return replace(degraded, block=replace(degraded.block, latency=latency, **biases))
         sideslip = self.kind == "hard"
-        if (noise, latency, zero) == (0.0, 0.0, 0.0) and sideslip and self.estimator == "none":
+        if not any((noise, latency, *biases.values())) and sideslip and self.estimator == "none":
             return None
         full = Sensors.hard(seed)
         hard = replace(
@@ -386,8 +393,8 @@ class Sensing(Part):
             position_drift=noise * full.position_drift,
             psi_drift=noise * full.psi_drift,
             r_noise=noise * full.r_noise,
-            r_bias=zero,
             latency=latency,
+            **biases,
         )
         return hard if sideslip else DegradedSensors(block=hard, rear=nominal.l_r)
 
@@ -443,7 +450,7 @@ class Knowledge(Part):
 
     table: ClassVar[str] = "knowledge"
     oracle: bool = False
-    """Do controllers know the true tyres, friction and ratio, and the steering's offset and gain?"""
+    """Do controllers know the true tyres, friction, ratio and mass, and the steering's offset and gain?"""
     delay: float | None = number(None, "s", low=0.0, high=2.0)
     """The delay that controllers believe, latency included [s]; None: the true one."""
     lag: float | None = number(None, "s", low=0.0, high=10.0)

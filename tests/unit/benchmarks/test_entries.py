@@ -29,6 +29,8 @@ def test_one_that_is_told_the_truth_knows_what_the_scenario_hides() -> None:
     assert (seen.delay, seen.lag, seen.offset) == (0.2, 0.3, pytest.approx(np.deg2rad(2.0)))
     assert seen.vehicle.steer_ratio == pytest.approx(1.25 * STEP.nominal.steer_ratio)
     assert controller("lqr").as_believed(hidden) == hidden
+    wrong = controller("lqr-told-wrong").as_believed(hidden).design_model()
+    assert (wrong.delay, wrong.lag, wrong.offset) == (pytest.approx(0.3), 0.3, 0.0)
 
 
 def test_results_say_which_text_of_ones_own_controller_drove(tmp_path: Path) -> None:

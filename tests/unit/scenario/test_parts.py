@@ -107,12 +107,16 @@ def test_sensors_report_their_zeros() -> None:
     for sensing, clean in (("hard", 0.0), ("no sideslip", 1.0), ("real", 1.0)):
         sensors: Any = measured(off.with_(sensors={"kind": sensing, "noise": clean, "latency": 0.0}))
         assert getattr(sensors, "block", sensors).r_bias == radians_of(-0.2)
+    biased: Any = measured(Scenario(sensors={"bias": 0.1}))
+    assert (biased.x_bias, biased.y_bias, biased.r_bias) == (0.1, 0.0, 0.0)
     loop = assembled(off, controller("mpc", off), seed=3)
     assert loop.inputs_of("controller")["delta_sw_meas"] == "column.delta_sw_meas"
     assert loop.inputs_of("car")["delta_sw_cmd"] == "column.delta_sw"
 
 
 def test_controllers_believe_the_data_sheet_or_know_the_truth() -> None:
+    heavy = Scenario(vehicle={"mass": 1.4})
+    assert (heavy.vehicle.true.m, heavy.vehicle.true.i_z) == (1.4 * heavy.nominal.m, 1.4 * heavy.nominal.i_z)
     wrong = Scenario(vehicle={"tyres": 0.7, "ratio": 1.2, "friction": 0.8}, steering={"offset_deg": 2.0, "gain": 0.8})
     told = wrong.design_model()
     assert (told.vehicle, told.offset, told.gain) == (wrong.nominal, 0.0, 1.0)

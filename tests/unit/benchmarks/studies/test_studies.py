@@ -29,8 +29,9 @@ KEYS = {
     "car_kill": "controller kills server trainer",
     "car_realtime": "frames_replayed_exactly jitter_p99_ms misses recording_mb rms_e_m steps",
     "foreign": (
-        "drives recovery_back_share recovery_lost recovery_max_e recovery_stays_share recovery_swing_worst "
-        "recovery_swings rows"
+        "adaptive_spread changes_recovered_s drives good_median_s good_share good_worst_s recovery_back_share "
+        "recovery_lost recovery_max_e recovery_stays_share recovery_swing_worst recovery_swings rms_x_best_told rows "
+        "wheel_spread_nets wheel_x_best_told"
     ),
     "gym_steps": "conditions steps_per_cpu_second vector_steps_per_second x_sync_vector_env",
     "learning": "final_rms_e_worst good_median good_share outcomes seeds setting",
@@ -52,7 +53,7 @@ KEYS = {
     ),
 }
 """What each prints, at least."""
-KEPT = {"safety": ("--keep", "learners.jsonl")}
+KEPT = {"foreign": ("--keep", "drives.jsonl"), "safety": ("--keep", "learners.jsonl")}
 """Asked to leave a file."""
 DRIVEN_FOR_LONG = ("throughput", "vehicle_state")
 """Studies whose loops drive for longer, in their quick forms, than it takes to optimise them."""
@@ -128,6 +129,11 @@ def sensible(name: str, f: Any) -> None:
             assert len(f["drives"]) == f["recovery_drives"] == 1
             assert f["recovery_lost"] == 0
             assert 0.01 < f["recovery_max_e"] < 3.0
+            assert 1.0 <= f["adaptive_spread"] < 2.0
+            (run,), (change,) = f["learner_runs"], f["changes_rows"]
+            assert (f["learners"], run["car"], run["nets"] > 0) == (1, "torque", True)
+            assert (change["car"], change["change"], change["best"]) == ("passat", "tyres", "lqr")
+            assert (f["left"], f["codes"]) == (0, 1)
         case "gym_steps":
             assert all(rate > 0.0 for rates in f["steps_per_cpu_second"].values() for rate in rates.values())
             assert f["x_sync_vector_env"] > 3.0

@@ -81,3 +81,38 @@ def test_a_drive_that_ends_early_is_lost() -> None:
     assert (foreign.judged(t, late, 40.0).back, foreign.judged(t, late, 40.0).stays) == (True, False)
     ended = foreign.judged(t[:500], e[:500], 40.0)
     assert (ended.max_e, ended.back, ended.stays) == (math.inf, False, False)
+
+
+def test_what_a_learner_on_a_foreign_car_never_did_counts_as_worst() -> None:
+    common = dict(v_min=8.0, v_max=12.0, failures=1, departure=2.0, stuck=0, held=True, code="a")
+    fields = dict(rms_x=0.7, rms_x_1=0.9, wheel_x=1.0, wheel_spread=1.2)
+    runs: list[Any] = [
+        {"car": "torque", "good": 20.0, **common, **fields},
+        {"car": "torque", "good": 40.0, **common, **fields, "rms_x": 0.9},
+        {"car": "torque", "good": None, **common, **fields, "rms_x": math.inf, "wheel_spread": math.nan},
+        {"car": "mujoco", "good": 10.0, **common, **fields, "rms_x": 0.8},
+    ]
+    f = foreign.learner_figures(runs)
+    assert (f["good_share"], f["good_median_s"], f["good_worst_s"]) == (0.75, 30.0, math.inf)
+    assert (f["rms_x_best_told"], f["rms_x_best_told_torque"], f["rms_x_best_told_others"]) == (0.9, 0.9, 0.8)
+    assert (f["rms_x_best_told_worst"], f["wheel_spread_nets"], f["wheel_spread_nets_worst"]) == (
+        math.inf,
+        1.2,
+        math.inf,
+    )
+
+
+def test_the_worst_change_and_the_widest_spread_count() -> None:
+    change = dict(
+        car="passat", change="delay", seed=0, best=["lqr", "learned"], best_rms_e=[0.02, 0.01], failures=[1, 0]
+    )
+    f = foreign.changes_figures([{**change, "recovered": [25.0, 31.0], "x": [1.1, 1.3], "max_e": [0.6, 0.4]}])
+    assert (f["changes"], f["changes_recovered_s"], f["changes_x_best"], f["changes_departures"]) == (2, 31.0, 1.3, 1)
+    drives = [
+        {"car": "torque", "controller": "lqr-adaptive", "speed": 8.0, "seed": seed, "rms_e": rms_e}
+        for seed, pair in enumerate([(0.1, 0.11), (0.2, 0.3), (0.1, math.inf)])
+        for rms_e in pair
+    ]
+    assert foreign.adaptive_figures(drives[:4])["adaptive_spread"] == pytest.approx(1.5)
+    assert foreign.adaptive_figures(drives)["adaptive_spread"] == math.inf
+    assert foreign.adaptive_figures(drives[:1]) == {}, "half a pair"

@@ -1,0 +1,244 @@
+"""A car that changes while its learner drives: how long until it drives as well as who was made for the new one.
+
+Part of the study `foreign`. Learner, recovery and filter are told of the car before the change, and of nothing after.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from benchmarks.foreign_cars import CARS, HOME, scene
+from benchmarks.run.trials import train
+from steerkit._support.errors import require
+from steerkit.diagram.block import Block
+from steerkit.diagram.simulation import Log
+from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.learning.settings import DEFAULT
+from steerkit.metrics.signals import largest, rms
+from steerkit.plants.disturbed_plant import GUST_STATES, DisturbedPlant
+from steerkit.plants.single_track import SingleTrackState
+from steerkit.plants.steering_actuator import DelayedSteering
+from steerkit.scenario import Scenario, drive
+from steerkit.scenario.scenario import tables
+
+SAFE = replace(DEFAULT, safe=True)
+"""How it learns: with the filter."""
+WALK = 20.0
+"""For so long a bias of the position walks [s]; all else changes at once."""
+_WINDOW, _SETTLED, _BIN = 20.0, 60.0, 5.0  # s, s, m
+RATIO = 1.2
+"""Of RMS e to the best one's: within it a learner has recovered [1]."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What happens: fields of the scenario in each phase, and the cars that it can happen to."""
+
+    phases: tuple[Mapping[str, Any], ...]
+    cars: tuple[str, ...] = (HOME, "mujoco")
+
+
+CHANGES: Mapping[str, Change] = MappingProxyType(
+    {
+        "tyres": Change(({}, {"vehicle.tyres": 0.6})),
+        "delay": Change(
+            tuple({"steering.delay": delay} for delay in (0.1, 0.4, 0.1)),
+            (HOME, *(car for car in CARS if car != "torque")),
+        ),
+        "mass": Change(({}, {"vehicle.mass": 1.4})),
+        "ratio": Change(({}, {"vehicle.ratio": 1.15})),
+        "gnss": Change(({}, {"sensors.bias": 0.1}), (HOME, *(car for car in CARS if car != "torque"))),
+        "bank-gusts": Change(({}, {"disturbances.bank_deg": 3.0, "disturbances.gust": 0.2}), (HOME,)),
+    }
+)
+"""Tyres 40 % softer; delay 0.1 to 0.4 s and back; mass 40 % more; ratio 15 % more; a position that walks 10 cm aside;
+a road that is banked by 3 degrees, and gusts. Not for the car by torque: the filter is not made for it."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A drive in which the car changes."""
+
+    car: str
+    change: str
+    seed: int
+    minutes: float
+    """Driving time of each phase."""
+    conditions: str
+    told: tuple[str, ...] = ("stanley-delay", "lqr", "mpc", "lqr-offset-free")
+    """Analytic controllers made for the new car, of which the best is compared with, or a newly learned net."""
+    rounds: float = 1.0
+    """That those drive."""
+
+
+@dataclass(frozen=True)
+class Changed:
+    """What became of it, one entry a change."""
+
+    best: tuple[str, ...]
+    """The best that was made for the new car: an analytic controller, or `learned`."""
+    best_rms_e: tuple[float, ...]
+    """Of its round [m]."""
+    recovered: tuple[float, ...]
+    """Time from the change to the end of the first 20 s in which RMS e was within 1.2 times the best one's on the same
+    stretches [s]; infinite if there is none."""
+    x: tuple[float, ...]
+    """RMS e from 60 s after the change on over the best one's there; NaN where the phase is shorter."""
+    max_e: tuple[float, ...]
+    """Largest true |e| from the change on [m]."""
+    failures: tuple[int, ...]
+    """How often the learner was taken from the wheel."""
+    max_e_before: float
+    """Before the first change, without its first second."""
+    nets: int
+    computing: float
+
+
+def phases(job: Job) -> list[Scenario]:
+    """The scenario before the change and after each; the controllers of a later one are told of it."""
+    base = scene(job.car, 4.0, 7.0, job.seed, job.conditions)
+    made = CHANGES[job.change].phases
+    return [base.with_(name=f"{base.name}-{job.change}-{n}", **tables(fields)) for n, fields in enumerate(made)]
+
+
+def one_change(job: Job) -> Changed:
+    """Drive it, then those made for the new car."""
+    began = time.perf_counter()
+    require(
+        job.car in CHANGES[job.change].cars,
+        "changes",
+        f"{job.change} on {job.car}; valid: {', '.join(CHANGES[job.change].cars)}",
+    )
+    before, *later = phases(job)
+    run, starts, failures = driven(before, later, job)
+    log = run.recorder.log()
+    rows: list[tuple[Any, ...]] = []
+    for n, scenario in enumerate(later):
+        start, end = starts[n], starts[n + 1]
+        name, ideal = best_of(scenario, job)
+        part = (log.t >= start) & (log.t < end)
+        squares = log["path.e"][part] ** 2, profile(ideal, scenario)(log["path.s"][part])
+        within, later_x = judged(log.t[part] - start, *squares)
+        rows.append((name, rms(ideal["path.e"]), within, later_x, largest(log["path.e"][part]), failures[n]))
+    best, best_rms_e, recovered, x, max_e, taken = zip(*rows, strict=True)
+    return Changed(
+        best=best,
+        best_rms_e=best_rms_e,
+        recovered=recovered,
+        x=x,
+        max_e=max_e,
+        failures=taken,
+        max_e_before=largest(log["path.e"][(log.t > 1.0) & (log.t < starts[0])]),
+        nets=run.counts.updates,
+        computing=time.perf_counter() - began,
+    )
+
+
+def driven(before: Scenario, later: Sequence[Scenario], job: Job) -> tuple[LearningRun, list[float], list[int]]:
+    """The run; when each change came, and the end [s]; failures in each of the later phases."""
+    seconds = 60.0 * job.minutes
+    whole = Experiment(setting=SAFE, scenario=before, minutes=job.minutes * (1 + len(later)), seed=job.seed)
+    run, starts, counts, at = LearningRun(whole), [seconds], list[int](), 0
+    steps = [(seconds * (n + 1) + wait, made) for n in range(len(later)) for wait, made in _steps([before, *later], n)]
+    while not run.done():
+        while at < len(steps) and run.t >= steps[at][0] - 1e-9:
+            exchange(run, steps[at][1])
+            at += 1
+        if len(counts) < len(later) and run.t >= seconds * (len(counts) + 1) - 1e-9:
+            counts.append(run.counts.failures)
+        run.drive()
+    starts += [seconds * (n + 2) for n in range(len(later))]
+    ends = [*counts[1:], run.counts.failures]
+    return run, starts, [b - a for a, b in zip(counts, ends, strict=True)]
+
+
+def _steps(scenarios: Sequence[Scenario], n: int) -> list[tuple[float, Scenario]]:
+    """How the n-th scenario becomes the next: at once, or in steps of a second; time from the change [s]."""
+    old, new = scenarios[n].sensors.bias, scenarios[n + 1].sensors.bias
+    if old == new:
+        return [(0.0, scenarios[n + 1])]
+    shares = np.arange(1, round(WALK) + 1) / round(WALK)
+    return [
+        (float(k), scenarios[n + 1].with_(sensors={"bias": float(old + share * (new - old))}))
+        for k, share in enumerate(shares)
+    ]
+
+
+def exchange(run: LearningRun, scenario: Scenario) -> None:
+    """Give the run the car, steering and sensors of `scenario`, between two samples; what is moving goes on.
+
+    Raises ValueError for a scenario with other parts, such as one with sensors where there were none.
+    """
+    made = scenario.blocks(run.path, scenario.course.start, run.experiment.seed)
+    for name in ("car", "actuator", "sensors"):
+        old, new = run.loop.blocks.get(name), made[name]
+        both = f"{name}: {type(old).__name__} becomes {type(new).__name__}; expected both or neither"
+        require((old is None) == (new is None), "exchange", both)
+        if old is not None and new is not None:
+            i = run.loop.names.index(name)
+            run.x[i] = carried(old, new, run.x[i])
+            run.loop = run.loop.with_block(name, new)
+    run.recorder.loop = run.loop
+
+
+def carried(old: Block, new: Block, x: Any) -> Any:
+    """The state of `new` that goes on from the state `x` of `old`."""
+    if isinstance(new, DisturbedPlant) != isinstance(old, DisturbedPlant):
+        pushed = isinstance(new, DisturbedPlant)
+        return (*x, *new.init()[-GUST_STATES:]) if pushed else SingleTrackState(*x[:-GUST_STATES])
+    if isinstance(old, DelayedSteering) and isinstance(new, DelayedSteering):
+        head = len(x) - old.waiting
+        waiting = [*(x[head:][:1] or x[:1])] * max(0, new.waiting - old.waiting) + [*x[head:]]
+        return (*x[:head], *waiting[len(waiting) - new.waiting :])
+    return x
+
+
+def best_of(scenario: Scenario, job: Job) -> tuple[str, Log]:
+    """Who drives a round of the scenario with the least RMS e: analytic controllers that are told all of it, and the
+    last net of a learner that knows nothing else; and the drive."""
+    truth, seed = scenario.with_(knowledge={"oracle": True}), job.seed + 1000
+    logs = {name: drive.drive(truth, drive.controller(name, truth), seed=seed, rounds=job.rounds) for name in job.told}
+    nets = train(Experiment(setting=SAFE, scenario=scenario, minutes=job.minutes, seed=job.seed + 1)).nets
+    if nets:
+        log = drive.drive(scenario, nets[-1].policy, doe=SAFE.element(scenario.nominal), seed=seed, rounds=job.rounds)
+        if drive.held_all_along(log):
+            logs["learned"] = log
+    finite = {name: log for name, log in logs.items() if np.isfinite(log["path.e"]).all()}
+    return min(finite.items(), key=lambda item: rms(item[1]["path.e"]))
+
+
+def profile(log: Log, scenario: Scenario) -> Any:
+    """e^2 of a round as a function of s: means over 5 m."""
+    length = scenario.path().length
+    count = max(1, round(length / _BIN))
+
+    def place(s: Any) -> Any:
+        return np.minimum((np.mod(s, length) * count / length).astype(int), count - 1)
+
+    where = place(log["path.s"])
+    sums, hits = (np.bincount(where, weights, minlength=count) for weights in (log["path.e"] ** 2, None))
+    known = np.flatnonzero(hits)
+    means = np.interp(np.arange(count), known, sums[known] / hits[known])
+    return lambda s: means[place(s)]
+
+
+def judged(t: Any, squares: Any, ideal: Any) -> tuple[float, float]:
+    """When RMS e first was within `RATIO` of the ideal over a window, and the ratio after 60 s.
+
+    t: time from the change [s]; squares, ideal: e^2 of the learner and, on the same stretches, of the best.
+    """
+    span = float(t[-1] - t[0])
+    samples = max(1, round(len(t) * min(1.0, _WINDOW / max(span, 1e-9))))
+    within = np.ones(samples)
+    ratio = np.sqrt(np.convolve(squares, within, "valid") / np.convolve(ideal, within, "valid"))
+    hits = np.flatnonzero(ratio <= RATIO)
+    late = t >= _SETTLED
+    x = float(np.sqrt(squares[late].mean() / ideal[late].mean())) if late.any() else math.nan
+    return (float(t[hits[0] + samples - 1]) if len(hits) else math.inf), x

@@ -1,0 +1,148 @@
+"""One learner on a car that no one here wrote, beside the best analytic controller that is told all that can be told.
+
+Part of the study `foreign`. Test drives are a whole round of the course, with another seed than the learner's.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.foreign_cars import scene
+from benchmarks.run.fleet import first_good
+from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.settings import DEFAULT
+from steerkit.metrics import Summary, of_log
+from steerkit.scenario import Scenario, drive
+
+TOLD = ("stanley-delay", "lqr", "mpc", "lqr-offset-free", "lqr-adaptive", "mpc-adaptive")
+"""Those of which the best is compared with."""
+_STRETCH = 400.0  # m: over which the wheel rates of the last nets are compared
+
+
+@dataclass(frozen=True)
+class Job:
+    """A learner to be run."""
+
+    car: str
+    v_min: float
+    v_max: float
+    seed: int
+    minutes: float
+    conditions: str
+    last: int
+    """Of how many of the last nets the wheel rates are compared."""
+    told: tuple[str, ...] = TOLD
+    """Analytic controllers to compare with."""
+    rounds: float = 1.0
+    """That those drive."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What became of it; times in seconds of driving, None where it never happened, NaN where there is no net."""
+
+    good: float | None
+    """When the first GOOD net took the wheel (`steerkit.metrics.GOOD`)."""
+    failures: int
+    departure: float
+    """Largest true |e| of the run, recovery included [m]."""
+    stuck: int
+    nets: int
+    held: bool
+    """Did the final net drive the round, with |e| <= 0.5 m?"""
+    rms_e: float
+    max_e: float
+    wheel_deg: float
+    jerk: float
+    """Largest lateral jerk, smoothed over 0.5 s [m/s^3]."""
+    dead_time: float
+    """That the learner found [s]."""
+    best: str
+    """The analytic controller of the least RMS e."""
+    best_rms_e: float
+    best_wheel_deg: float
+    rms_x: float
+    """RMS e of the final net over the best one's; infinite for one that did not hold."""
+    rms_x_1: float
+    """The same of the net that steered after a minute."""
+    wheel_x: float
+    wheel_spread: float
+    """By what factor the wheel rate of one of the last nets is off their median; infinite if one did not hold."""
+    computing: float
+
+
+def one_learner(job: Job) -> Learned:
+    """Run it and compare its nets."""
+    began = time.perf_counter()
+    scenario = scene(job.car, job.v_min, job.v_max, job.seed, job.conditions)
+    trained = train(Experiment(setting=DEFAULT, scenario=scenario, minutes=job.minutes, seed=job.seed))
+    test, nets, made = job.seed + 1000, trained.nets, dict[int, TrialDrive]()
+
+    def judged(net: Taken) -> TrialDrive:
+        if id(net) not in made:
+            made[id(net)] = drive_each(scenario, DEFAULT, [net.policy], seed=test)[0]
+        return made[id(net)]
+
+    good = first_good(nets, judged)
+    best, told = best_told(scenario.with_(course={"rounds": job.rounds}), job.told, test)
+    early = [net for net in nets if net.t <= 60.0]
+    final, first = (judged(those[-1]) if those else None for those in (nets, early))
+    of_final = final.summary if final else None
+    nan = math.nan
+    forecast = nets[-1].policy.forecast if nets else None
+    return Learned(
+        good=good,
+        failures=trained.run.counts.failures,
+        departure=float(np.abs(trained.run.recorder.log()["path.e"]).max()),
+        stuck=len(trained.run.counts.stuck),
+        nets=len(nets),
+        held=final is not None and final.held,
+        rms_e=of_final.rms_e if of_final else nan,
+        max_e=of_final.max_e if of_final else nan,
+        wheel_deg=of_final.rms_wheel_rate_deg if of_final else nan,
+        jerk=of_final.max_jerk if of_final else nan,
+        dead_time=forecast.samples * nets[-1].policy.dt if forecast else 0.0,
+        best=best,
+        best_rms_e=told.rms_e,
+        best_wheel_deg=told.rms_wheel_rate_deg,
+        rms_x=_over(final, "rms_e", told),
+        rms_x_1=_over(first, "rms_e", told),
+        wheel_x=_over(final, "rms_wheel_rate_deg", told),
+        wheel_spread=spread([wheel_rate(scenario, net, test) for net in nets[-job.last :]]),
+        computing=time.perf_counter() - began,
+    )
+
+
+def best_told(scenario: Scenario, names: tuple[str, ...], seed: int) -> tuple[str, Summary]:
+    """The analytic controller of the least RMS e in the scenario, given the truth, and its metrics."""
+    truth = scenario.with_(knowledge={"oracle": True, "delay": None, "lag": None})
+    rows = [(name, of_log(drive.drive(truth, drive.controller(name, truth), seed=seed))) for name in names]
+    return min(rows, key=lambda row: row[1].rms_e if math.isfinite(row[1].rms_e) else math.inf)
+
+
+def wheel_rate(scenario: Scenario, net: Taken, seed: int) -> float:
+    """RMS wheel rate of a net [deg/s] on the first 400 m of a round; infinite if it does not hold them."""
+    share = min(1.0, _STRETCH / scenario.round_length)
+    doe = DEFAULT.element(scenario.nominal)
+    log = drive.drive(scenario, net.policy, doe=doe, seed=seed, rounds=share, only_while_held=True)
+    return of_log(log).rms_wheel_rate_deg if drive.held_all_along(log) else math.inf
+
+
+def spread(rates: list[float]) -> float:
+    """By what factor the one that is furthest off is off their median; infinite if one is, NaN for none."""
+    if not rates or not np.isfinite(rates).all():
+        return math.inf if rates else math.nan
+    middle = float(np.median(rates))
+    return max(max(rates) / middle, middle / min(rates))
+
+
+def _over(trial: TrialDrive | None, metric: str, told: Summary) -> float:
+    """A net's figure over the best analytic controller's."""
+    if trial is None or not trial.held or trial.summary is None:
+        return math.inf
+    return float(getattr(trial.summary, metric) / getattr(told, metric))

@@ -1,0 +1,63 @@
+"""Results of a study's jobs, kept in a file as they come, so that a study that was stopped goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.run.sources import source
+from benchmarks.run.spread import Say, Workers
+from steerkit._support.errors import require
+from steerkit._support.files import append_line
+
+Row = Mapping[str, Any]
+"""A job's fields, then those of what came of it, and `code`: a hash of the sources that it was made with."""
+
+
+def stored(file: Path) -> dict[str, Row]:
+    """What `done` kept in `file`, by job; nothing where there is no file.
+
+    A last line that a killed study left half written is none. Raises ValueError for a file of anything else.
+    """
+    if not file.exists():
+        return {}
+    *whole, _ = file.read_text(encoding="utf-8").split("\n")
+    rows = dict[str, Row]()
+    for number, line in enumerate(whole, start=1):
+        try:
+            kept = json.loads(line)
+        except ValueError:
+            kept = None
+        ours = isinstance(kept, dict) and kept.keys() == {"job", "row"} and isinstance(kept["job"], str)
+        require(ours, f"{file}, line {number}", f"{line[:40]!r}, expected the result of a study, as --keep makes it")
+        assert kept is not None
+        rows[kept["job"]] = kept["row"]
+    return rows
+
+
+def done(
+    function: Callable[[Any], Any], jobs: Sequence[Any], those: Workers, keep: Path | None, until: float, say: Say
+) -> Iterator[tuple[Any, Row]]:
+    """Each of `jobs` with its row: those that `keep` holds at once, then the others as they come, kept at once.
+
+    jobs: flat dataclasses; function: of one, returns a flat dataclass. until: the `time.monotonic` from which on none
+    is begun. Raises ValueError as `stored`.
+    """
+    known = stored(keep) if keep else {}
+    yield from [(job, known[_name(job)]) for job in jobs if _name(job) in known]
+    left = [job for job in jobs if _name(job) not in known]
+    if keep:
+        keep.parent.mkdir(parents=True, exist_ok=True)
+    for number, made in those.done(function, left, until=until, say=say):
+        row = json.loads(json.dumps(asdict(left[number]) | asdict(made) | {"code": source()}))
+        if keep:
+            append_line(keep, json.dumps({"job": _name(left[number]), "row": row}))
+        yield left[number], row
+
+
+def _name(job: Any) -> str:
+    assert is_dataclass(job)
+    return json.dumps([type(job).__name__, asdict(job)])  # type: ignore[arg-type]

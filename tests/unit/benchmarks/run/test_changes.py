@@ -1,0 +1,122 @@
+"""A car that changes while it is driven: what moves goes on moving, and when it is as good as the best again."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.foreign_cars import HOME
+from benchmarks.run.changes import CHANGES, SAFE, Job, carried, driven, exchange, judged, phases, profile
+from steerkit.diagram.simulation import Log
+from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.plants.disturbed_plant import DisturbedPlant
+from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.task import DT
+from steerkit.vehicles import VW_PASSAT
+
+
+def job(change: str, minutes: float = 0.02) -> Job:
+    return Job(car=HOME, change=change, seed=0, minutes=minutes, conditions="hard", told=("lqr",))
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_every_change_is_a_scenario_and_the_loop_goes_on_in_it(change: str) -> None:
+    before, *later = phases(job(change))
+    assert before.believed_dead_time == pytest.approx(before.steering.delay + 0.05)
+    run = LearningRun(Experiment(setting=SAFE, scenario=before, minutes=1.0))
+    for _ in range(3):
+        run.drive()
+    for scenario in later:
+        where = [run._value(f"car.{name}") for name in ("x", "y", "psi")]
+        exchange(run, scenario)
+        assert run.loop.blocks["safety"] is not None
+        run.drive()
+        moved = [run._value(f"car.{name}") for name in ("x", "y", "psi")]
+        v = run._value("car.v")
+        assert math.dist(where[:2], moved[:2]) == pytest.approx(v * DT, rel=0.2), "it does not jump"
+        assert moved[2] == pytest.approx(where[2], abs=0.05)
+        after = scenario.blocks(run.path)
+        for name in ("car", "actuator", "sensors"):
+            assert type(run.loop.blocks[name]) is type(after[name])
+    assert run.t == pytest.approx((3 + len(later)) * DT)
+
+
+def test_commands_on_their_way_take_the_new_delay() -> None:
+    """Of commands 0, 1, 2 ... sent before, the wheel shows each in turn, after the gap that the new delay makes."""
+
+    def angles(first: float, then: float) -> list[float]:
+        old, new = (
+            SteeringActuator(delay=first, lag=0.0, rate_limit=200.0),
+            SteeringActuator(delay=then, lag=0.0, rate_limit=200.0),
+        )
+        x: Any = old.init()
+        seen = []
+        for k in range(12):
+            if k == 6:
+                x = carried(old, new, x)
+            block = old if k < 6 else new
+            x = block.update(0.0, x, block.U(0.1 * (k + 1)), block.output(0.0, x, ()))
+            seen.append(round(10.0 * x[0], 6))
+        return seen
+
+    assert angles(0.03, 0.03) == [0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9]
+    assert angles(0.03, 0.05) == [0, 0, 0, 1, 2, 3, 4, 4, 4, 5, 6, 7]
+    assert angles(0.03, 0.0) == [0, 0, 0, 1, 2, 3, 7, 8, 9, 10, 11, 12]
+    assert angles(0.0, 0.02) == [1, 2, 3, 4, 5, 6, 6, 6, 7, 8, 9, 10]
+
+
+def test_a_car_that_is_pushed_from_now_on_goes_on_from_where_it_was() -> None:
+    car = NonlinearSingleTrack(vehicle=VW_PASSAT, v0=7.0)
+    pushed = DisturbedPlant(block=car, bank=0.5)
+    x = car.init()._replace(psi=0.3)
+    there = carried(car, pushed, x)
+    assert pushed.output(0.0, there, ()).psi == 0.3
+    assert carried(pushed, car, there) == x
+
+
+def test_parts_that_were_not_there_are_refused() -> None:
+    before = phases(job("gnss"))[0].with_(sensors={"noise": 0.0, "latency": 0.0})
+    run = LearningRun(Experiment(setting=SAFE, scenario=before, minutes=1.0))
+    with pytest.raises(ValueError, match="sensors: NoneType becomes Sensors; expected both or neither"):
+        exchange(run, phases(job("gnss"))[1])
+
+
+def test_a_bias_walks_and_all_else_changes_at_once() -> None:
+    run, starts, failures = driven(*split("gnss"), job("gnss"))
+    sensors: Any = run.loop.blocks["sensors"]
+    assert starts == pytest.approx([1.2, 2.4])
+    assert sensors.x_bias == pytest.approx(2.0 * 0.1 / 20.0), "a step at once, and one after a second"
+    assert len(failures) == 1
+    run, starts, failures = driven(*split("delay"), job("delay"))
+    actuator: Any = run.loop.blocks["actuator"]
+    assert (actuator.delay, len(starts), len(failures)) == (0.1, 3, 2)
+
+
+def split(change: str) -> tuple[Any, Any]:
+    before, *later = phases(job(change))
+    return before, later
+
+
+def test_the_best_is_met_on_the_same_stretches() -> None:
+    """One who has sqrt(2) times the best one's e in a bend of its round, and on the straight as much, is as good there:
+    at first it has three times as much everywhere."""
+    scenario = phases(job("mass"))[1]
+    length = scenario.path().length
+    s = np.arange(0.0, length, 1.0)
+    bend = (s > 0.4 * length) & (s < 0.5 * length)
+    ideal = Log(0.1 * s, {"path.s": s, "path.e": np.where(bend, 0.2, 0.1)}, {"path.s": "m", "path.e": "m"})
+    squares = profile(ideal, scenario)(s + length)
+    inside = (s > 0.42 * length) & (s < 0.48 * length)
+    assert squares[inside] == pytest.approx(0.04)
+    assert squares[s < 0.38 * length] == pytest.approx(0.01)
+    t = np.arange(0.0, 120.0, DT)
+    best = np.where(t % 40.0 < 10.0, 0.04, 0.01)
+    e = np.sqrt(best) * np.where(t < 30.0, 3.0, 1.1)
+    recovered, x = judged(t, e**2, best)
+    assert x == pytest.approx(1.1)
+    assert 45.0 < recovered < 50.1, "a window with hardly any of the first 30 s in it"
+    never, _ = judged(t, 2.0 * best, best)
+    assert never == math.inf
+    assert math.isnan(judged(t[t < 50.0], best[t < 50.0], best[t < 50.0])[1]), "too short for what comes after 60 s"

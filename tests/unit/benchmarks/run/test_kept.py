@@ -1,0 +1,79 @@
+"""Results that are kept: what is there is not made again, a half line is none, another file is refused."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.run.kept import done, stored
+
+
+@dataclass(frozen=True)
+class Job:
+    seed: int
+
+
+@dataclass(frozen=True)
+class Other:
+    seed: int
+
+
+@dataclass(frozen=True)
+class Made:
+    e: float
+    names: tuple[str, ...] = ("a", "b")
+
+
+class Pool:
+    """Carries out at once what it is given, as `spread.Workers` do, and counts it."""
+
+    def __init__(self, killed_after: int = 99):
+        self.made, self.killed_after = list[int](), killed_after
+
+    def done(self, function: Any, pieces: Sequence[Any], **_: Any) -> Iterator[tuple[int, Any]]:
+        for number, job in enumerate(pieces):
+            if len(self.made) >= self.killed_after:
+                raise KeyboardInterrupt
+            self.made.append(job.seed)
+            yield number, function(job)
+
+
+def drive(job: Any) -> Made:
+    return Made(math.inf if job.seed == 1 else math.nan if job.seed == 2 else 0.1)
+
+
+def rows(pool: Any, keep: Path | None, *seeds: int, kind: Any = Job) -> list[Any]:
+    return list(done(drive, [kind(seed) for seed in seeds], pool, keep, math.inf, print))
+
+
+def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path) -> None:
+    keep, pool = tmp_path / "new" / "drives.jsonl", Pool(killed_after=2)
+    with pytest.raises(KeyboardInterrupt):
+        rows(pool, keep, 0, 1, 2, 3)
+    with keep.open("a") as file:
+        file.write('{"job": "[')  # killed while it wrote
+    assert [row["e"] for row in stored(keep).values()] == [0.1, math.inf]
+    pool = Pool()
+    again = rows(pool, keep, 0, 1, 2, 3)
+    assert pool.made == [2, 3]
+    assert [job.seed for job, _ in again] == [0, 1, 2, 3]
+    assert [row["names"] for _, row in again] == [["a", "b"]] * 4
+    assert repr(rows(Pool(0), keep, 0, 1, 2, 3)) == repr(again), "all of them are kept, as they were"
+    assert [job for job, _ in rows(pool, keep, 3, kind=Other)] == [Other(3)]
+    assert pool.made == [2, 3, 3], "another kind of drive is another drive"
+
+
+def test_without_a_file_nothing_is_kept(tmp_path: Path) -> None:
+    assert [row["seed"] for _, row in rows(Pool(), None, 4, 5)] == [4, 5]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("line", ["nonsense", "[]", '{"job": "x"}', '{"job": 1, "row": {}}'])
+def test_another_file_is_refused(line: str, tmp_path: Path) -> None:
+    file = tmp_path / "drives.jsonl"
+    file.write_text('{"job": "x", "row": {}}\n' + line + "\n")
+    with pytest.raises(ValueError, match=r"line 2.*expected the result of a study"):
+        stored(file)
