@@ -1,6 +1,7 @@
 """Costs of a transition: frozen objects, called with (s, a, s_next), vectorised, giving (cost, terminal).
 
-s, s_next: (n, columns) states, column 0 is the cross-track error e [m]; a: (n,) actions [rad]. cost: (n,) in [0, 1],
+s, s_next: (n, columns) states, column 0 is the cross-track error e [m]; a: (n,) actions [rad], as chosen from the set:
+before a fast car's share of them is taken (`StateDescription.scaled`). cost: (n,) in [0, 1],
 terminal: (n,) bool. Costs look at where the car came to (s_next) and what it did to get there (a).
 """
 
@@ -80,9 +81,12 @@ class IdoeCost(_Limits):
 class TanhCost(_Limits):
     """A smooth well about the path, and a price on moving the wheel.
 
-        c = step * tanh^2(e * w) + action_cost * [a != 0],   w = atanh(sqrt(0.95)) / goal;   1, terminal, if |e| > trip
+        c = step * tanh^2(e * w) + action_cost * p(a),   w = atanh(sqrt(0.95)) / goal;   1, terminal, if |e| > trip
+        p(a) = min(1, (a/action_unit)^2),   or [a != 0] where action_unit is 0
 
-    so that 95 % of `step` is reached at |e| = goal. Source: Hafner and Riedmiller 2011 (Reinforcement learning in
+    so that 95 % of `step` is reached at |e| = goal. A policy with actions between those of the set moves the wheel in
+    every sample: at [a != 0] that adds up to action_cost/(1 - discount), and where this nears 1, failing costs no more
+    than driving and nothing is learned. Source: Hafner and Riedmiller 2011 (Reinforcement learning in
     feedback control), section 4.3, the tanh^2 cost with band width mu = goal; action_cost is ours.
     Raises ValueError as `BandCost`, or unless 0 <= action_cost <= 1 - step.
     """
@@ -91,6 +95,8 @@ class TanhCost(_Limits):
     """Cost of a step far from the path."""
     action_cost: float = 0.01
     """Cost of a step that moves the steering wheel."""
+    action_unit: float = number(0.0, "rad", low=0.0)
+    """Action from which a step costs all of that, smaller ones by their square; 0: all that is not 0 does [rad]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,7 +105,8 @@ class TanhCost(_Limits):
 
     def steps(self, e: Array, a: Array) -> Array:
         well = m.tanh(e * (math.atanh(math.sqrt(0.95)) / self.goal)) ** 2
-        return self.step * well + self.action_cost * (a != 0.0)
+        moved = m.minimum((a / self.action_unit) ** 2, 1.0) if self.action_unit else a != 0.0
+        return self.step * well + self.action_cost * moved
 
 
 @dataclass(frozen=True, kw_only=True)

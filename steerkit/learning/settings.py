@@ -38,7 +38,7 @@ class Setting:
     doe: str = "integrator"
     """Output element: `integrator`, `low-pass` or `plain`; or one of your own, `my_file.py:Class`: see
     `steerkit.scenario.catalogue.make_element`."""
-    cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.025))
+    cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.025, action_unit=radians_of(25.0)))
     """Cost of a transition: see `steerkit.learning.costs`."""
     # Measured model-free (8 seeds, clean, 2.5 min): one iteration every 10 to 30 m beats two every 60 m (GOOD after 47
     # to 63 s); 600 epochs, 4 steps, 20-20 nets: no gain.
@@ -49,7 +49,6 @@ class Setting:
             hints=0,
             n_step=3,
             nets=4,
-            keep=2,
             iterations=3,
             imagined=3000,
             horizon=5,
@@ -118,7 +117,13 @@ class Setting:
     @property
     def problem(self) -> Problem:
         """What is learned, and how."""
-        return Problem(actions=self.actions, cost=self.cost, fit=self.fit, description=self.description())
+        return Problem(
+            actions=self.actions,
+            cost=self.cost,
+            fit=self.fit,
+            description=self.description(),
+            continuous=self.continuous,
+        )
 
     def element(self, vehicle: Vehicle | None = None) -> OutputElement:
         """The dynamic output element, within the stops of `vehicle`'s steering wheel (None: 520 degrees)."""

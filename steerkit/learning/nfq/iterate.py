@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -14,15 +15,22 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import check_numbers, known, number, require
 from steerkit.controllers.delay_compensator import LONGEST, PREVIEW, DelayCompensator
-from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, combined
-from steerkit.controllers.policy import ACTION, DOE, V
+from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, NfqPolicy, combined
+from steerkit.controllers.policy import ACTION, DOE, E, V
 from steerkit.controllers.state_description import StateDescription
-from steerkit.learning.costs import Cost
+from steerkit.learning.costs import Cost, Costs
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import process_of
-from steerkit.learning.nfq.model import CarModel, Imagined, imagine
+from steerkit.learning.nfq.model import CarModel, Imagined, earlier_doe, imagine, near_path
 from steerkit.learning.nfq.rprop import Net, engine_of, fit, new_net, predict, sizes_of
-from steerkit.task import DT
+from steerkit.task import DT, RELEASE
+
+TRIALS = 40
+"""Drives on the learned car by which a net is judged."""
+FAR = 8
+"""One in so many begins beside the path, by up to twice RELEASE, the others on it."""
+TRIAL = 60
+"""Samples of each."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
@@ -67,10 +75,9 @@ class FitSetting:
     """Only the newest so many transitions are fitted, which bounds the time of a fit; 0: all of them. The model that
     imagines others learns from all."""
     nets: int = number(1, low=1)
-    """Members of the ensemble: same targets, own random weights; three smooth out single unlucky fits."""
-    keep: int = number(1, low=1)
-    """Updates whose nets work together, the newest and those before it: an average over several updates, at no cost
-    in training, that chatters less from one update to the next."""
+    """Members of the ensemble: same targets, own random weights. Single fits differ threefold in wheel rate at equal
+    RMS e: where a model of the car is learned, those of all iterations and of the update before drive that car
+    (`trial_costs`), and the ones with the least cost stay. Without a model: the last iteration's."""
     combine: Combine = "mean"
     """How the members' values become one, in the targets and in the policy: mean, max or disagreement."""
     mirror: bool = False
@@ -131,6 +138,8 @@ class Problem:
     cost: Cost
     fit: FitSetting = FitSetting()
     description: StateDescription = STANDARD
+    continuous: bool = False
+    """Does the policy take actions between those of the set?"""
 
     def __post_init__(self) -> None:
         require(len(self.actions) > 0, "nfq.Problem", "actions is empty, expected at least one angle [rad]")
@@ -147,6 +156,10 @@ class Problem:
     def sizes(self) -> tuple[int, ...]:
         """Units of the nets' layers, the inputs first."""
         return (len(self.description.names) + 1, *self.fit.hidden, 1)
+
+    def costs(self, s: NDArray[np.float64], a: NDArray[np.float64], s_next: NDArray[np.float64]) -> Costs:
+        """Costs of transitions (n,) by actions a [rad] as they were applied, and which of them have failed."""
+        return self.cost(s, a * self.description.excess(s[:, V]) ** 2, s_next)
 
     def patterns(self, s: NDArray[np.float64], a: NDArray[np.float64]) -> NDArray[np.float32]:
         """Net inputs of states s (n, columns) and actions a (n,) [rad]."""
@@ -167,12 +180,10 @@ def goal_patterns(problem: Problem, rng: np.random.Generator) -> NDArray[np.floa
 
 def action_values(problem: Problem, nets: Sequence[Net], s: NDArray[np.float64]) -> NDArray[np.float32]:
     """q(s, a) of every action for the states s (n, columns), as (actions, n)."""
-    x = problem.patterns(s, np.zeros(len(s)))
-    q = np.empty((len(problem.actions), len(s)), dtype=np.float32)
-    for row, action in zip(q, problem.actions, strict=True):
-        x[:, ACTION] = action / problem.scale
-        row[:] = combined(np.array([predict(net, x) for net in nets]), problem.fit.combine)
-    return q
+    x = np.tile(problem.patterns(s, np.zeros(len(s))), (len(problem.actions), 1))
+    x[:, ACTION] = np.repeat(np.array(problem.actions) / problem.scale, len(s))
+    q = combined(np.array([predict(net, x) for net in nets]), problem.fit.combine)
+    return q.reshape(len(problem.actions), len(s))
 
 
 def targets(problem: Problem, transitions: Transitions, nets: Sequence[Net] = ()) -> NDArray[np.float32]:
@@ -185,7 +196,7 @@ def targets(problem: Problem, transitions: Transitions, nets: Sequence[Net] = ()
     several steps.
     """
     discount = problem.fit.discount
-    c, terminal = problem.cost(transitions.s, transitions.a, transitions.s_next)
+    c, terminal = problem.costs(transitions.s, transitions.a, transitions.s_next)
     ahead = action_values(problem, nets, transitions.s_next).min(axis=0) if nets else 0.0
     y = one_step = np.where(terminal, c, c + discount * ahead)
     runs_on = np.zeros(len(c), dtype=bool)  # does the row below continue this one?
@@ -214,7 +225,7 @@ def imagined_targets(
         s_next = model.step(s, a, earlier)
         if step == 0:
             s_next += states.residual
-        c, terminal = problem.cost(s, a, s_next)
+        c, terminal = problem.costs(s, a, s_next)
         total += weight * c
         weight = weight * problem.fit.discount * ~terminal
         s, earlier = s_next, s[:, DOE]
@@ -250,13 +261,55 @@ def iterate(
     if setting.imagined and model is None:
         model = CarModel.fit(transitions, problem.description)
     nets: Nets = tuple(nets_before)
+    size = 2 if setting.symmetric else 1
+    members = [nets[i : i + size] for i in range(0, len(nets), size)]
     for iteration in range(setting.iterations):
         x, y = _patterns(problem, transitions, nets, model, [seed, iteration])
         starts = [new_net(problem.sizes, [seed, iteration, 1 + k]) for k in range(setting.nets)]
-        nets = tuple(_fit_all(starts, x, y, setting.epochs))
+        new: list[Nets] = [(net,) for net in _fit_all(starts, x, y, setting.epochs)]
         if setting.symmetric:
-            nets = (*nets, *(mirror_image(net, problem.description) for net in nets))
-    return (*nets_before, *nets)[-setting.keep * len(nets) :]
+            new = [(net, mirror_image(net, problem.description)) for (net,) in new]
+        nets = tuple(chain.from_iterable(new))
+        members += new
+    if model is not None:
+        costs = trial_costs(problem, model, transitions, members, np.random.default_rng([seed, 2_000_003]))
+        nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
+    return nets
+
+
+def trial_costs(
+    problem: Problem, model: CarModel, record: Transitions, members: Sequence[Nets], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Mean cost of a sample (members,) with each member of an ensemble alone at the wheel of the learned car.
+
+    TRIALS drives of TRIAL samples, or until they fail, which costs 1 a sample from then on. All members meet the same:
+    what the model left unexplained of the record (noise, bends, changes of speed), in the order in which it was
+    recorded. The learned car has no dead time, and the noise of a forecast over it is left out.
+    """
+    policy = NfqPolicy(actions=tuple(problem.actions), continuous=problem.continuous)
+    order = np.argsort(np.abs(problem.actions), kind="stable")
+    before = earlier_doe(record)
+    unexplained = record.s_next - model.step(record.s, record.a, before)
+    near = near_path(record)
+    place = rng.integers(len(near), size=TRIALS)
+    s, earlier = record.s[near[place]].copy(), before[near[place]]
+    s[:, E] = 0.0
+    s[::FAR, E] = 2.0 * RELEASE * rng.uniform(-1.0, 1.0, len(s[::FAR]))
+    s, earlier, place = np.tile(s, (len(members), 1)), np.tile(earlier, len(members)), np.tile(place, len(members))
+    total, drives = np.zeros(len(s)), np.ones(len(s), dtype=bool)
+    for _ in range(TRIAL):
+        each = [
+            action_values(problem, nets, part) for nets, part in zip(members, np.split(s, len(members)), strict=True)
+        ]
+        a = policy.least(list(np.concatenate(each, axis=1)[order]))[0] / problem.description.excess(s[:, V]) ** 2
+        s_next = model.step(s, a, earlier) + unexplained[near[place]]
+        place = (place + 1) % len(near)
+        s_next[:, V] = record.s[near[place], V]
+        c, failed = problem.costs(s, a, s_next)
+        drives &= ~failed
+        total += np.where(drives, c, 1.0)
+        s, earlier = np.where(drives[:, None], s_next, s), np.where(drives, s[:, DOE], earlier)
+    return total.reshape(len(members), -1).mean(axis=1) / TRIAL
 
 
 def _patterns(

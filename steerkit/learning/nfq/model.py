@@ -211,8 +211,7 @@ def imagine(
     The speed is drawn from the recorded range, a quarter wider at either end; e, the heading, r_e and doe are moved by
     SPREAD of the description's half ranges, mostly less; the steady bend is drawn from all that the wheel can steer.
     """
-    near = np.flatnonzero(record.own | (np.abs(record.s[:, E]) < TRIP))
-    near = near if len(near) else np.arange(len(record))
+    near = near_path(record)
     row = near[rng.integers(len(near), size=count)]
     signs = np.where(np.array(description.mirror_signs) < 0.0, rng.choice([-1.0, 1.0], count)[:, None], 1.0)
     s, residual = record.s[row] * signs, record.s_next[row] - model.step(record.s, record.a, earlier_doe(record))[row]
@@ -234,6 +233,12 @@ def imagine(
     s[:, PSI_E] -= model.ratio(speed(s)) * (bend - s[:, DOE] - shift[:, DOE])
     s[:, DOE] = bend
     return Imagined(s=s, earlier=bend + back, residual=residual * signs)
+
+
+def near_path(record: Transitions) -> NDArray[np.intp]:
+    """Rows of the learner's own, and others within TRIP of the path; all where there are none such."""
+    near = np.flatnonzero(record.own | (np.abs(record.s[:, E]) < TRIP))
+    return near if len(near) else np.arange(len(record))
 
 
 def speed(s: Array) -> Array:

@@ -1,7 +1,6 @@
 """Costs, targets and updates of NFQ: by hand first, then invariants."""
 
 import math
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from steerkit.learning.nfq.iterate import (
 )
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.nfq.rprop import Fit, Net, fit, flat, forward
+from tests.support.modelled_car import driven
 from tests.support.ranges import keeps_range
 from tests.support.records import ACTIONS, chain, recorded
 
@@ -205,17 +205,34 @@ def test_a_window_that_holds_everything_changes_nothing(window: int) -> None:
     assert nfq.newest(record, window) is record
 
 
-def test_the_newest_updates_work_together_and_each_begins_afresh() -> None:
-    record, nets, history = recorded(40), (), []
-    for seed in range(4):
-        nets = iterate(record, problem(keep=2, nets=2, epochs=1), nets, seed=seed)
-        history.append(nets)
-    assert [len(nets) for nets in history] == [2, 4, 4, 4]
-    for before, after in pairwise(history):
-        assert all(a is b for a, b in zip(before[-2:], after[:2], strict=True))
-        assert not any(a is b for a in before for b in after[2:])
-    fresh = iterate(record, problem(keep=2, nets=2, epochs=0), nets)
-    assert not np.array_equal(flat(fresh[2]), flat(nets[2]))
+def test_each_update_begins_afresh() -> None:
+    record = recorded(40)
+    nets = iterate(record, problem(nets=2, epochs=1))
+    after = iterate(record, problem(nets=2, epochs=0), nets, seed=1)
+    assert len(after) == 2
+    assert not np.array_equal(flat(after[0]), flat(nets[0]))
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_of_all_nets_those_stay_that_drive_the_learned_car_best(
+    symmetric: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record, size = driven(n=40), 2 if symmetric else 1
+    asked = problem(nets=2, epochs=0, iterations=2, imagined=10, symmetric=symmetric)
+    seen: list[Any] = []
+
+    def costs(problem: Problem, model: object, record: object, members: Any, rng: object) -> np.ndarray:
+        seen.append(members)
+        return np.arange(len(members))[::-1] % 4.0  # 1 0 3 2 1 0 for the six of the second update
+
+    monkeypatch.setattr(nfq, "trial_costs", costs)
+    first = iterate(record, asked)
+    second = iterate(record, asked, first, seed=1)
+    assert [len(members) for members in seen] == [4, 6]
+    assert all(len(nets) == size for nets in seen[1])
+    assert all(a is b for a, b in zip(first, (net for nets in seen[1][:2] for net in nets), strict=True))
+    best = [net for nets in (seen[1][1], seen[1][5]) for net in nets]
+    assert all(a is b for a, b in zip(second, best, strict=True))
 
 
 @pytest.mark.parametrize(

@@ -135,6 +135,58 @@ def test_imagined_targets_by_hand() -> None:
     assert y[2] == pytest.approx(1.0)
 
 
+def straight_on(n: int = 50, yaw: float = 0.0) -> Transitions:
+    """Rows on the path, of a car like `CAR` but for what `yaw` does to its heading in every sample [rad]."""
+    s = np.zeros((n, 6))
+    s[:, 2] = 5.0
+    s_next = CAR.step(s, np.zeros(n), np.zeros(n))
+    s_next[:, 3] += yaw
+    record = Transitions()
+    record.extend(s, np.zeros(n), s_next, 0)
+    return record
+
+
+def test_trials_by_hand() -> None:
+    """A net that leaves the wheel alone stays where it is put; one that turns it on and on fails, as on a crooked road;
+    between actions of the set a lopsided one is gentler."""
+    cost = TanhCost(goal=0.1, action_cost=0.1)
+    asked = Problem(actions=ACTIONS, cost=cost)
+    turning = np.array([[0, 0, 0, 0, 0, 0, -1.0]], np.float32), np.zeros(1, np.float32)
+    members = [(level(0.2),), (turning,)]
+    still, turned = nfq.trial_costs(asked, CAR, straight_on(), members, np.random.default_rng(3))
+    rng = np.random.default_rng(3)
+    rng.integers(50, size=nfq.TRIALS)
+    e = 2.0 * 0.1 * rng.uniform(-1.0, 1.0, nfq.TRIALS // nfq.FAR)
+    assert still == pytest.approx(0.04 * (np.tanh(e * np.arctanh(np.sqrt(0.95)) / 0.1) ** 2).sum() / nfq.TRIALS)
+    assert 0.3 < turned < 1.0
+    crooked, _ = nfq.trial_costs(asked, CAR, straight_on(yaw=0.02), members, np.random.default_rng(3))
+    assert 0.3 < crooked < 1.0
+
+
+def test_trials_are_driven_as_the_policy_would() -> None:
+    """Net by net, and where the policy takes actions between those of the set."""
+    nets = tuple(tuple(4.0 * p for p in net) for net in nfq.fresh_nets(FitSetting(nets=3), seed=3))
+    record = driven(n=100)
+    costs = []
+    for continuous in (False, True):
+        asked = Problem(actions=ACTIONS, cost=TanhCost(action_cost=0.1), continuous=continuous)
+        together = nfq.trial_costs(asked, CAR, record, [(net,) for net in nets], np.random.default_rng(0))
+        each = [nfq.trial_costs(asked, CAR, record, [(net,)], np.random.default_rng(0))[0] for net in nets]
+        np.testing.assert_allclose(together, each, rtol=1e-6)
+        costs.append(together)
+    assert not np.allclose(*costs)
+
+
+def test_a_fast_cars_action_costs_what_the_net_chose() -> None:
+    fast = replace(STANDARD, scaled_from=2.0)
+    cost = TanhCost(action_cost=0.1, action_unit=0.5)
+    asked = Problem(actions=ACTIONS, cost=cost, description=fast)
+    s = np.zeros((2, 6))
+    s[:, 2] = 1.0, 6.0
+    c, _ = asked.costs(s, np.array([0.25, 0.25 / 9.0]), s)
+    assert c == pytest.approx([0.1 / 4, 0.1 / 4])
+
+
 def followed(
     asked: Problem, model: CarModel, s: np.ndarray, before: float, residual: np.ndarray, a: float, nets: Any
 ) -> tuple[float, bool]:
@@ -173,7 +225,9 @@ def test_imagined_cars_drive_greedily_until_they_fail(horizon: int) -> None:
     assert 10 < sum(failed for _, failed in each) < 140
 
 
-def test_imagined_cars_at_speed_turn_the_wheel_less_and_lie_nearer_to_the_recorded_ones() -> None:
+def test_imagined_cars_at_speed_turn_the_wheel_less_and_lie_nearer_to_the_recorded_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     fast = replace(STANDARD, scaled_from=2.0, action_scale=max(ACTIONS))
     setting = FitSetting(horizon=3, nets=2)
     nets = tuple(tuple(4.0 * p for p in net) for net in nfq.fresh_nets(setting, seed=3))
@@ -186,13 +240,15 @@ def test_imagined_cars_at_speed_turn_the_wheel_less_and_lie_nearer_to_the_record
     assert np.abs(near.s[:, 3]).mean() < 0.5 * np.abs(plain.s[:, 3]).mean()
     taken: list[tuple[np.ndarray, np.ndarray]] = []
 
-    class Listening(TanhCost):
-        def __call__(self, s: np.ndarray, a: np.ndarray, s_next: np.ndarray) -> Any:
-            taken.append((fast.excess(s[:, 2]), a))
-            return super().__call__(s, a, s_next)
+    step = CarModel.step
 
-    listening = Problem(actions=ACTIONS, cost=Listening(trip=50.0), fit=setting, description=fast)
-    imagined_targets(listening, CAR, near, np.zeros(150), nets)
+    def listening(model: CarModel, s: np.ndarray, a: np.ndarray, earlier: np.ndarray) -> np.ndarray:
+        taken.append((fast.excess(s[:, 2]), a))
+        return step(model, s, a, earlier)
+
+    monkeypatch.setattr(CarModel, "step", listening)
+    asked = Problem(actions=ACTIONS, cost=TanhCost(trip=50.0), fit=setting, description=fast)
+    imagined_targets(asked, CAR, near, np.zeros(150), nets)
     for x, a in taken[1:]:
         nearest = np.abs((a * x**2)[:, None] - np.array(ACTIONS)).min(axis=1)
         np.testing.assert_allclose(nearest, 0.0, atol=1e-12)
