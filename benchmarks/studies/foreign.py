@@ -142,7 +142,7 @@ def one_adaptive(job: AdaptiveJob) -> Adapted:
 
 def from_beside(scenario: Scenario, controller: str, seed: int, seconds: float) -> Log:
     """A drive that starts beside the path, until it is lost."""
-    make = make_recovery if controller in RECOVERIES else make_controller
+    make = partial(make_recovery, alone=True) if controller in RECOVERIES else make_controller
     loop = assembled(scenario, make(controller, scenario.design_model()), seed=seed)
     side, turn = (1.0 if seed % 2 == 0 else -1.0), (1.0 if seed // 2 % 2 == 0 else -1.0)
     start = placed(loop.blocks["car"], scenario.path(), s=scenario.course.start, e=side * OFF, psi_e=turn * TURNED)

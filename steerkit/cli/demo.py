@@ -96,7 +96,7 @@ def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> dict[str,
     scenario = experiment.scenario
     doe = experiment.setting.element(scenario.nominal)
     learned = evaluate.drive(scenario, rundir.final_policy(place), doe=doe, seed=seed)
-    stanley = evaluate.drive(scenario, scenario.recovery_controller(), seed=seed)
+    stanley = evaluate.drive(scenario, scenario.recovery_controller(alone=True), seed=seed)
     return {who: Log(g.t, g.signals, g.units) for who, g in (("learned", learned), ("Stanley", stanley))}
 
 

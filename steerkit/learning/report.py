@@ -211,7 +211,10 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
         table.add_row(key.replace("_", " "), f"{value:.2f}" if isinstance(value, float) else str(value))
     console.print(table)
     scenario = run.experiment.scenario
-    logs = {"learned": _final_drive(place, run), "stanley": evaluate.drive(scenario, scenario.recovery_controller())}
+    logs = {
+        "learned": _final_drive(place, run),
+        "stanley": evaluate.drive(scenario, scenario.recovery_controller(alone=True)),
+    }
     net = "the final net" if run.counts.updates else "a net that was never trained"
     console.print(evaluate.comparison(f"one round of {scenario.course.name}, {net}", logs))
     drive = rundir.drive_log(place, until=run.t)

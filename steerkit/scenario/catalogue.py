@@ -90,6 +90,16 @@ def _delayed(design_model: DesignModel) -> Block:
     return delayed_stanley(design_model.vehicle, **{name: getattr(design_model, name) for name in steering})
 
 
+_SOFT = {"share": 0.2, "k": 3.5, "k_soft": 15.0}
+"""Stanley's gains where it recovers a car steered by torque: such cars overshoot small commands and creep to large ones
+(`benchmarks.plants.torque_car`), and with the gains of `stanley-delay`, which follow closer, they swing."""
+
+
+def _soft(design_model: DesignModel) -> Block:
+    block: Any = _delayed(design_model)
+    return block if design_model.slew is None else replace(block, block=replace(block.block, **_SOFT))
+
+
 def _lqr(design_model: DesignModel) -> Block:
     car = design_model.vehicle
     steering: dict[str, Any] = dict(
@@ -196,7 +206,8 @@ CONTROLLERS: Mapping[str, ControllerSpec] = MappingProxyType(
 OWN = "my_file.py:make, package.module:make"
 """What may stand for a controller's name besides: see `make_controller`."""
 AUTO = "auto"
-"""The recovery controller that fits the car: `stanley-delay` where dead time or slew is believed, else `stanley`."""
+"""The recovery controller that fits the car: `adaptive` where a slew is believed, `stanley-delay` where a dead time is,
+else `stanley`."""
 ADAPTIVE = "adaptive"
 """The recovery controller that needs neither dead time nor ratio: it finds them while it or the learner steers."""
 RECOVERIES = (AUTO, ADAPTIVE, "stanley", "stanley-delay")
@@ -267,12 +278,15 @@ def plant_kind(name: str) -> type[Car]:
     return kind
 
 
-def make_recovery(name: str, design_model: DesignModel) -> Block:
-    """The recovery controller of a learned one: any of `RECOVERIES`. Raises ValueError with the valid names."""
-    if known(name, RECOVERIES, "recovery") == ADAPTIVE:
-        return _trimmed(_adaptive(_delayed, takes_turns=True)(design_model), design_model)
-    if name == AUTO:
-        name = "stanley" if design_model.delay == 0.0 and design_model.slew is None else "stanley-delay"
+def make_recovery(name: str, design_model: DesignModel, *, alone: bool = False) -> Block:
+    """The recovery controller of a learned one: any of `RECOVERIES`. Raises ValueError with the valid names.
+
+    alone: without a learned one beside it, so that nobody else's commands need to be watched.
+    """
+    if known(name, RECOVERIES, "recovery") == AUTO and design_model.slew is None:
+        name = "stanley" if design_model.delay == 0.0 else "stanley-delay"
+    if name in (AUTO, ADAPTIVE):
+        return _trimmed(_adaptive(_soft, takes_turns=not alone)(design_model), design_model)
     return make_controller(name, design_model)
 
 

@@ -62,8 +62,8 @@ class Scenario:
     """Where e is judged, and measured for a learner: at the `front` axle (as Stanley does), at the centre of gravity,
     `cg`, or at the controller's `own` point (the front axle for one that has none)."""
     recovery: str = AUTO
-    """The recovery controller of a learned one: `stanley`, `stanley-delay`, or `auto`: of both the one for the delay
-    that is believed; or `adaptive`: `stanley-delay` that finds dead time and ratio by itself (`Adaptive`)."""
+    """The recovery controller of a learned one: `stanley`, `stanley-delay`, or `adaptive`: `stanley-delay` that finds
+    dead time and ratio by itself (`Adaptive`); or `auto`: the one for the steering that is believed."""
     course: Course = Course()
     vehicle: Car = Car()
     driver: Driver = Driver()
@@ -248,9 +248,9 @@ class Scenario:
             "estimator": self.sensors.state_estimator(nominal),
         }
 
-    def recovery_controller(self) -> Block:
-        """The analytic controller that takes over from a learned one."""
-        return make_recovery(self.recovery, self.design_model())
+    def recovery_controller(self, *, alone: bool = False) -> Block:
+        """The analytic controller that takes over from a learned one; or drives `alone`."""
+        return make_recovery(self.recovery, self.design_model(), alone=alone)
 
 
 def tables(dotted: Table) -> dict[str, Any]:

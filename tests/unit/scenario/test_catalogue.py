@@ -137,14 +137,16 @@ def test_the_adapting_recovery_hears_what_others_steer_and_winds_up_nothing_mean
     assert all(isinstance(one, DelayPredictor) for one in block.blocks)
 
 
-def test_the_fitting_recovery_knows_of_dead_time_and_slew_where_there_is_some() -> None:
+def test_the_fitting_recovery_knows_of_dead_time_where_there_is_some_and_adapts_where_torque_steers() -> None:
     assert isinstance(make_recovery("auto", replace(BELIEF, delay=0.0)), Stanley)
     late = make_recovery("auto", replace(BELIEF, delay=0.15))
     assert isinstance(late, DelayPredictor)
     assert late.model.delay == 0.15
     by_torque = make_recovery("auto", replace(BELIEF, delay=0.0, slew=5.0, a_y_limit=3.0))
-    assert isinstance(by_torque, DelayPredictor)
-    assert (by_torque.model.slew, by_torque.block.share) == (5.0, 0.3)  # type: ignore[attr-defined]
+    assert isinstance(by_torque, Adaptive)
+    assert {(one.model.slew, one.block.share) for one in by_torque.blocks} == {(5.0, 0.2)}  # type: ignore[attr-defined]
+    alone = make_recovery("auto", replace(BELIEF, slew=5.0, a_y_limit=3.0), alone=True)
+    assert "doe" not in {port.name for port in alone.inputs}, "there is nobody else whose commands it should watch"
 
 
 # ---- a user's own -----------------------------------------------------------------------------------------------
