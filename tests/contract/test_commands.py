@@ -118,7 +118,8 @@ def shell(bin_folder: Path) -> Iterator[Shell]:
 def learned(bin_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short learning run's directory."""
     folder = tmp_path_factory.mktemp("learned")
-    done = Shell(folder, bin_folder).run("steerkit learn --course circle --seed 3 --minutes 0.2 --quiet --out run")
+    words = "--course circle --seed 3 --minutes 0.1 --with fit.epochs=20 --quiet --out run"
+    done = Shell(folder, bin_folder).run(f"steerkit learn {words}")
     assert done.returncode == 0, done.stderr
     return folder / "run"
 

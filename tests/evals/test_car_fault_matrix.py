@@ -1,10 +1,11 @@
 """Every fault in every state, on a clock that the test moves: what ends driving, when, and what went over the bus.
 
-`python tests/evals/test_car_fault_matrix.py` prints the table of docs/real-car.md.
+`python -m tests.evals.test_car_fault_matrix [NAME ...]` prints the table of docs/real-car.md, or these rows of it.
 """
 
 import math
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -207,11 +208,11 @@ def test_after_a_fault_the_operator_may_engage_again() -> None:
     world.check_bus()
 
 
-def table() -> Iterator[str]:
+def table(names: Iterable[str]) -> Iterator[str]:
     """The fault table, as Markdown."""
     yield "| fault | cause | state | time to disengage [ms] | last command [deg] | after it |"
     yield "|---|---|---|---|---|---|"
-    for name in CASES:
+    for name in names:
         o = try_out(name, Mode.ENGAGED)
         last = next(s for s in reversed(o.world.sent) if s.enable)
         after = sum(not s.enable for s in o.world.sent)
@@ -222,4 +223,4 @@ def table() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    print("\n".join(table()))
+    print("\n".join(table(sys.argv[1:] or CASES)))

@@ -11,7 +11,7 @@ from steerkit.metrics import of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 
-SCENARIO = Scenario(course="random-7")  # 500 m, radii of 10 m and more
+SCENARIO = Scenario(course="calibration")  # 262 m, bends of 17 m to either side
 
 
 def learned(setting: Setting) -> tuple[LearningRun, Log]:

@@ -2,6 +2,7 @@
 
 import atexit
 import contextlib
+import importlib
 import os
 import runpy
 import select
@@ -16,6 +17,10 @@ import weakref
 from collections.abc import Mapping, Sequence
 from multiprocessing import util
 from pathlib import Path
+from typing import IO
+
+SHARED = ("PIL", "filelock", "joblib", "matplotlib", "pandas", "pydantic", "typer")
+"""Packages of which programs import parts late: this process imports those too, once, for the next programs."""
 
 
 def alive(pid: int) -> bool:
@@ -34,10 +39,10 @@ def python(
     words: `-m MODULE ...`, `-c CODE ...` or `FILE ...`. What depends on a start from nothing (the time that it takes, a
     terminal, signals, a program that stays) starts `sys.executable` instead. Raises subprocess.TimeoutExpired.
     """
-    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err, tempfile.TemporaryFile("w+") as new:
         child = os.fork()
         if child == 0:
-            _become(words, folder, dict(environment), (out.fileno(), err.fileno()))
+            _become(words, folder, dict(environment), (out.fileno(), err.fileno()), new)
         watch = os.pidfd_open(child)
         over = bool(select.select([watch], [], [], seconds)[0])
         os.close(watch)
@@ -49,12 +54,17 @@ def python(
             raise subprocess.TimeoutExpired(words, seconds)
         out.seek(0)
         err.seek(0)
+        new.seek(0)
+        for name in new.read().split():  # the next program finds them here
+            importlib.import_module(name)
         return subprocess.CompletedProcess(words, os.waitstatus_to_exitcode(ended[1]), out.read(), err.read())
 
 
-def _become(words: Sequence[str], folder: Path, environment: dict[str, str], streams: tuple[int, int]) -> None:
-    """In the fork: the program, from its first line to its end; never returns."""
-    code = 1
+def _become(
+    words: Sequence[str], folder: Path, environment: dict[str, str], streams: tuple[int, int], new: IO[str]
+) -> None:
+    """In the fork: the program, from its first line to its end; never returns. new: what it imported of SHARED."""
+    code, before = 1, set(sys.modules)
     try:
         # whatever this process would do at its end (remove temporary folders, say) is not for the fork to do
         atexit._clear()
@@ -75,6 +85,8 @@ def _become(words: Sequence[str], folder: Path, environment: dict[str, str], str
         warnings.filterwarnings("ignore", category=DeprecationWarning)
         warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]
         sys.path[:0] = [str(folder), *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
+        if drawing := sys.modules.get("matplotlib.layout_engine"):  # a third of a short command's time
+            drawing.ConstrainedLayoutEngine.execute = lambda *_: None  # type: ignore[attr-defined]
         code = _ended(words)
         threading._shutdown()  # type: ignore[attr-defined]  # waits for threads, as the interpreter does
         atexit._run_exitfuncs()
@@ -84,6 +96,8 @@ def _become(words: Sequence[str], folder: Path, environment: dict[str, str], str
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
             sys.stderr.flush()
+            new.write("\n".join(sorted(name for name in set(sys.modules) - before if name.partition(".")[0] in SHARED)))
+            new.flush()
         os._exit(code & 0xFF)
 
 
