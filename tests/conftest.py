@@ -3,11 +3,14 @@
 An interrupt ends the programs that tests start, though a shell has what runs in the background ignore it.
 """
 
+import contextlib
 import gc
+import importlib
 import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import Phase, settings
@@ -33,7 +36,16 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """In the process that hands out the tests: what all others would compile at once is compiled meanwhile, in full."""
-    if session.config.getoption("tx", None):
+    """In the process that hands out the tests: what all others would compile at once is compiled meanwhile, in full.
+
+    In those: each imports a share of the tests before it collects all, so that the bytecode of each is made but once.
+    """
+    config = session.config
+    if (worker := getattr(config, "workerinput", None)) and config.args == config.getini("testpaths"):
+        tests = sorted(file.relative_to(config.rootpath) for file in Path(__file__).parent.rglob("test_*.py"))
+        for file in tests[int(worker["workerid"].removeprefix("gw")) :: worker["workercount"]]:
+            with contextlib.suppress(Exception, pytest.skip.Exception):  # which collecting will tell
+                importlib.import_module(".".join(file.with_suffix("").parts))
+    if config.getoption("tx", None):
         kernel = "from steerkit.learning.nfq.rprop import library; library()"
         subprocess.Popen([sys.executable, "-c", kernel], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
