@@ -98,7 +98,6 @@ class Note(NamedTuple):
 
 Output = Send | Reply | Note
 
-_FLAGS = ("override", "enabled", "timeout", "brake", "accelerator")
 _NOTED = {protocol.Estimates: "estimates", protocol.Adapted: "adapted", protocol.Filtered: "safety"}
 """What a controller says for the recording only, and its topic."""
 
@@ -271,8 +270,7 @@ class Core:
         for queue in of_last_second:
             while queue and queue[0][0] <= t - 1.0:
                 queue.popleft()
-        known: dict[str, Any] = {name: v.get(name, math.nan) for name in ("delta_sw", "v", "v_kit")}
-        known |= {flag: v.get(flag, 0.0) != 0.0 for flag in _FLAGS}
+        known, nan, enabled = v.get, math.nan, v.get("enabled", 0.0) != 0.0
         engaged, since, enabled_since = self.machine.mode is Mode.ENGAGED, self.machine.since, senses.enabled_since
         unasked = 0.0 if enabled_since is None else senses.enabled_at - max(enabled_since, self._let_go) + EPS
         just_now = t - self._let_go < config.states.foreign_enable  # a kit's reports come later than it acts
@@ -284,12 +282,19 @@ class Core:
             pose_late=senses.delay,
             request_age=t - request.basis + EPS if request else math.inf,
             request=request.delta_sw if request else math.nan,
-            **known,
+            delta_sw=known("delta_sw", nan),
+            v=known("v", nan),
+            v_kit=known("v_kit", nan),
+            override=known("override", 0.0) != 0.0,
+            enabled=enabled,
+            timeout=known("timeout", 0.0) != 0.0,
+            brake=known("brake", 0.0) != 0.0,
+            accelerator=known("accelerator", 0.0) != 0.0,
             e=senses.e,
             psi_e=senses.psi_e,
-            quality=v.get("quality", math.inf),
+            quality=known("quality", math.inf),
             torque_reports=senses.torque_reports,
-            kit_faults=tuple([f.removeprefix("fault:") for f in config.fault_flags if v.get(f, 0.0) != 0.0]),
+            kit_faults=tuple([f.removeprefix("fault:") for f in config.fault_flags if known(f, 0.0) != 0.0]),
             integrity_errors=len(senses.errors),
             integrity=senses.errors[-1][1] if senses.errors else "",
             misses=sum([n for _, n in self._misses]),
@@ -302,7 +307,7 @@ class Core:
             heartbeat_age=t - self._beat + EPS,
             holder=self._names.get(self._holder, "") if engaged else "",
             foreign=senses.foreign[1] if t - senses.foreign[0] < FOREIGN else "",
-            foreign_enable=0.0 if engaged else max(EPS if known["enabled"] or just_now else 0.0, unasked),
+            foreign_enable=0.0 if engaged else max(EPS if enabled or just_now else 0.0, unasked),
             recording=self._unrecorded if config.keep_recording else "",
             astray=senses.astray(t),
         )
