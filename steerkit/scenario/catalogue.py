@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from types import MappingProxyType
@@ -29,6 +30,9 @@ from steerkit.plants.single_track import Car, SingleTrack
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import GateModel
 
+_LONGEST = 2.0
+"""Longest dead time that anything is made for [s]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DesignModel:
@@ -43,7 +47,7 @@ class DesignModel:
     """The car; its `delta_sw_max` is the largest angle that a controller asks for."""
     path: Path
     """The course."""
-    delay: float = number(0.0, "s", low=0.0, high=2.0)
+    delay: float = number(0.0, "s", low=0.0, high=_LONGEST)
     """Pure delay from a command to what is seen of it [s]: the steering's, and the age of what the controller sees."""
     lag: float = number(0.1, "s", low=0.0, high=10.0)
     """First-order time constant of the steering [s]."""
@@ -143,7 +147,7 @@ def _offset_free(make: Callable[[DesignModel], Block], **settings: float) -> Cal
 
 
 _DEAD_TIMES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-"""Dead times for which an adaptive controller is made [s]."""
+"""Dead times for which an adaptive controller is made [s]; a recovery controller has more where longer is told."""
 _CAUTION = 0.1
 """By how much it begins with more than is believed [s]: too much costs little for a while, too little: it swings."""
 
@@ -155,23 +159,37 @@ _UNDERSTEER = 1e-4
 the ratio that goes with it."""
 
 
-def _adaptive(make: Callable[[DesignModel], Block], *, takes_turns: bool = False) -> Callable[[DesignModel], Block]:
+def _adaptive(make: Callable[[DesignModel], Block]) -> Callable[[DesignModel], Block]:
     """What makes a controller that adapts, of those that `make` makes."""
+    return lambda design_model: _adapting(make, design_model, _DEAD_TIMES)
 
-    def made(design_model: DesignModel) -> Block:
-        car, prior = design_model.vehicle, min(design_model.delay, _DEAD_TIMES[-1])
-        return Adaptive(
-            blocks=tuple(make(replace(design_model, delay=delay)) for delay in _DEAD_TIMES),
-            delays=_DEAD_TIMES,
-            delay=YawDelay(vehicle=car, prior_delay=prior, prior_lag=max(design_model.lag, 0.01), enough=0.05),
-            steering=SingleTrackFilter(vehicle=car, understeer_prior=_UNDERSTEER),
-            prior_delay=min(prior + _CAUTION, _DEAD_TIMES[-1]),
-            lag=design_model.lag,
-            limit=car.delta_sw_max,
-            takes_turns=takes_turns,
-        )
 
-    return made
+def _adapting(
+    make: Callable[[DesignModel], Block],
+    design_model: DesignModel,
+    delays: tuple[float, ...],
+    *,
+    takes_turns: bool = False,
+) -> Adaptive:
+    car, prior = design_model.vehicle, min(design_model.delay, delays[-1])
+    return Adaptive(
+        blocks=tuple(make(replace(design_model, delay=delay)) for delay in delays),
+        delays=delays,
+        delay=YawDelay(
+            vehicle=car,
+            prior_delay=prior,
+            prior_lag=max(design_model.lag, 0.01),
+            enough=0.05,
+            longest=max(YawDelay.longest, delays[-1]),
+        ),
+        steering=SingleTrackFilter(
+            vehicle=car, understeer_prior=_UNDERSTEER, longest=max(SingleTrackFilter.longest, delays[-1])
+        ),
+        prior_delay=min(prior + _CAUTION, delays[-1]),
+        lag=design_model.lag,
+        limit=car.delta_sw_max,
+        takes_turns=takes_turns,
+    )
 
 
 def _adaptive_offset_free(make: Callable[[DesignModel], Block]) -> Callable[[DesignModel], Block]:
@@ -206,8 +224,7 @@ CONTROLLERS: Mapping[str, ControllerSpec] = MappingProxyType(
 OWN = "my_file.py:make, package.module:make"
 """What may stand for a controller's name besides: see `make_controller`."""
 AUTO = "auto"
-"""The recovery controller that fits the car: `adaptive` where a slew is believed, `stanley-delay` where a dead time is,
-else `stanley`."""
+"""The recovery controller that fits any car: `adaptive`."""
 ADAPTIVE = "adaptive"
 """The recovery controller that needs neither dead time nor ratio: it finds them while it or the learner steers."""
 RECOVERIES = (AUTO, ADAPTIVE, "stanley", "stanley-delay")
@@ -283,10 +300,10 @@ def make_recovery(name: str, design_model: DesignModel, *, alone: bool = False) 
 
     alone: without a learned one beside it, so that nobody else's commands need to be watched.
     """
-    if known(name, RECOVERIES, "recovery") == AUTO and design_model.slew is None:
-        name = "stanley" if design_model.delay == 0.0 else "stanley-delay"
-    if name in (AUTO, ADAPTIVE):
-        return _trimmed(_adaptive(_soft, takes_turns=not alone)(design_model), design_model)
+    if known(name, RECOVERIES, "recovery") in (AUTO, ADAPTIVE):
+        longest = max(_DEAD_TIMES[-1], min(design_model.delay + _CAUTION, _LONGEST))
+        delays = tuple(i / 10.0 for i in range(math.ceil(10.0 * longest - 1e-6) + 1))
+        return _trimmed(_adapting(_soft, design_model, delays, takes_turns=not alone), design_model)
     return make_controller(name, design_model)
 
 

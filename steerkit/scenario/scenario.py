@@ -63,7 +63,7 @@ class Scenario:
     `cg`, or at the controller's `own` point (the front axle for one that has none)."""
     recovery: str = AUTO
     """The recovery controller of a learned one: `stanley`, `stanley-delay`, or `adaptive`: `stanley-delay` that finds
-    dead time and ratio by itself (`Adaptive`); or `auto`: the one for the steering that is believed."""
+    dead time and ratio by itself (`Adaptive`); `auto` is `adaptive`."""
     course: Course = Course()
     vehicle: Car = Car()
     driver: Driver = Driver()

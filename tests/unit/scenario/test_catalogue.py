@@ -13,7 +13,6 @@ from steerkit.car.config import load, shipped
 from steerkit.car.loop import controller_named, design_model_of
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import DelayPredictor
-from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
@@ -137,16 +136,25 @@ def test_the_adapting_recovery_hears_what_others_steer_and_winds_up_nothing_mean
     assert all(isinstance(one, DelayPredictor) for one in block.blocks)
 
 
-def test_the_fitting_recovery_knows_of_dead_time_where_there_is_some_and_adapts_where_torque_steers() -> None:
-    assert isinstance(make_recovery("auto", replace(BELIEF, delay=0.0)), Stanley)
-    late = make_recovery("auto", replace(BELIEF, delay=0.15))
-    assert isinstance(late, DelayPredictor)
-    assert late.model.delay == 0.15
+def test_the_fitting_recovery_adapts_and_is_softer_where_torque_steers() -> None:
+    by_angle = make_recovery("auto", replace(BELIEF, delay=0.15))
     by_torque = make_recovery("auto", replace(BELIEF, delay=0.0, slew=5.0, a_y_limit=3.0))
+    assert isinstance(by_angle, Adaptive)
     assert isinstance(by_torque, Adaptive)
+    assert (by_angle.delays, by_angle.prior_delay) == ((0.0, 0.1, 0.2, 0.3, 0.4, 0.5), 0.25)
+    assert {one.block.share for one in by_angle.blocks} == {1.0}  # type: ignore[attr-defined]
     assert {(one.model.slew, one.block.share) for one in by_torque.blocks} == {(5.0, 0.2)}  # type: ignore[attr-defined]
-    alone = make_recovery("auto", replace(BELIEF, slew=5.0, a_y_limit=3.0), alone=True)
+    alone = make_recovery("auto", BELIEF, alone=True)
     assert "doe" not in {port.name for port in alone.inputs}, "there is nobody else whose commands it should watch"
+
+
+@pytest.mark.parametrize(("delay", "longest"), [(0.4, 0.5), (0.41, 0.6), (0.8, 0.9), (2.0, 2.0)])
+def test_the_recovery_is_made_for_a_longer_dead_time_than_is_believed(delay: float, longest: float) -> None:
+    block = make_recovery("auto", replace(BELIEF, delay=delay))
+    assert isinstance(block, Adaptive)
+    assert block.delays[-1] == pytest.approx(longest)
+    assert block.prior_delay == pytest.approx(min(delay + 0.1, 2.0))
+    assert min(block.delay.longest, block.steering.longest) >= longest - 1e-9
 
 
 # ---- a user's own -----------------------------------------------------------------------------------------------
