@@ -82,7 +82,7 @@ class TanhCost(_Limits):
     """A smooth well about the path, and a price on moving the wheel.
 
         c = step * tanh^2(e * w) + action_cost * p(a),   w = atanh(sqrt(0.95)) / goal;   1, terminal, if |e| > trip
-        p(a) = min(1, (a/action_unit)^2),   or [a != 0] where action_unit is 0
+        p(a) = min(1, |a|/action_unit),   or [a != 0] where action_unit is 0
 
     so that 95 % of `step` is reached at |e| = goal. A policy with actions between those of the set moves the wheel in
     every sample: at [a != 0] that adds up to action_cost/(1 - discount), and where this nears 1, failing costs no more
@@ -96,7 +96,7 @@ class TanhCost(_Limits):
     action_cost: float = 0.01
     """Cost of a step that moves the steering wheel."""
     action_unit: float = number(0.0, "rad", low=0.0)
-    """Action from which a step costs all of that, smaller ones by their square; 0: all that is not 0 does [rad]."""
+    """Action from which a step costs all of that, smaller ones in proportion; 0: all that is not 0 does [rad]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -105,7 +105,7 @@ class TanhCost(_Limits):
 
     def steps(self, e: Array, a: Array) -> Array:
         well = m.tanh(e * (math.atanh(math.sqrt(0.95)) / self.goal)) ** 2
-        moved = m.minimum((a / self.action_unit) ** 2, 1.0) if self.action_unit else a != 0.0
+        moved = m.minimum(m.absolute(a) / self.action_unit, 1.0) if self.action_unit else a != 0.0
         return self.step * well + self.action_cost * moved
 
 

@@ -28,8 +28,8 @@ def test_tanh_cost_by_hand() -> None:
     assert terminal.tolist() == [False] * 4 + [True]
     moving, _ = TanhCost()(states(e), np.full(5, 0.1), states(e))
     assert (moving - c) == pytest.approx([0.01] * 4 + [0.0])
-    squares, _ = TanhCost(action_unit=0.2)(states(e), np.array([0.1, -0.1, 0.2, 0.3, 0.3]), states(e))
-    assert (squares - c) == pytest.approx([0.0025, 0.0025, 0.01, 0.01, 0.0])
+    shares, _ = TanhCost(action_unit=0.2)(states(e), np.array([0.1, -0.1, 0.2, 0.3, 0.3]), states(e))
+    assert (shares - c) == pytest.approx([0.005, 0.005, 0.01, 0.01, 0.0])
 
 
 def test_smooth_cost_by_hand() -> None:

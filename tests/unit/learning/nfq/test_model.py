@@ -184,7 +184,7 @@ def test_a_fast_cars_action_costs_what_the_net_chose() -> None:
     s = np.zeros((2, 6))
     s[:, 2] = 1.0, 6.0
     c, _ = asked.costs(s, np.array([0.25, 0.25 / 9.0]), s)
-    assert c == pytest.approx([0.1 / 4, 0.1 / 4])
+    assert c == pytest.approx([0.1 / 2, 0.1 / 2])
 
 
 def followed(
