@@ -273,6 +273,7 @@ class Core:
         known, nan, enabled = v.get, math.nan, v.get("enabled", 0.0) != 0.0
         engaged, since, enabled_since = self.machine.mode is Mode.ENGAGED, self.machine.since, senses.enabled_since
         unasked = 0.0 if enabled_since is None else senses.enabled_at - max(enabled_since, self._let_go) + EPS
+        follow_age = t - max(senses.follow_ok, since) + EPS if engaged else 0.0
         just_now = t - self._let_go < config.states.foreign_enable  # a kit's reports come later than it acts
         return Facts(
             connected=True in self._links.values(),
@@ -300,7 +301,8 @@ class Core:
             misses=sum([n for _, n in self._misses]),
             lateness=max([late for _, late in self._late]) if self._late else 0.0,
             echo_age=t - max(senses.echo_ok, since) + EPS if engaged else 0.0,
-            follow_age=t - max(senses.follow_ok, since) + EPS if engaged else 0.0,
+            follow_age=follow_age,
+            wrong_sign=senses.wrong_sign(doubted=bool(senses.errors) or follow_age > 0.5 * config.states.follow_time),
             e_growth=senses.e_growth(since) if engaged else 0.0,
             still_for=t - max(senses.moving, since) if engaged else 0.0,
             remaining=senses.remaining,
@@ -322,6 +324,8 @@ class Core:
         may_clear = bool(self.config.writer.clear) and not self.config.listen_only
         if order is Order.ACKNOWLEDGE and after.mode is Mode.STANDBY and may_clear:
             self._clear, self._urgent, self._neutral = True, True, max(self._neutral, 1)  # kits latch too
+        if order is Order.ACKNOWLEDGE:
+            self.senses.forget_sign()
         if order is Order.ACKNOWLEDGE and (self.senses.ahead or before.mode is Mode.STANDBY):
             self.senses.forget_delay()  # never a delay, or one that its operator was told of
         if after is before:
@@ -399,7 +403,7 @@ class Core:
         numbers = {name: v.get(name, math.nan) for name in ("x", "y", "psi", "v", "r", "delta_sw", "v_kit", "torque")}
         limits = self.config.states
         checks = {Mode.STANDBY: states.readying, Mode.READY: states.readying, Mode.ENGAGED: states.warnings}
-        against = [*checks.get(self.machine.mode, states.foreign_enable)(limits, f)]
+        against = [*checks.get(self.machine.mode, states.latched)(limits, f)]
         if self._unrecorded and not f.recording:  # else it stands among the obstacles already
             against.append(f"not recorded: {self._unrecorded}")
         return protocol.Snapshot(

@@ -15,6 +15,7 @@ from steerkit.car.estimates import earlier
 from steerkit.car.frames import FrameReader
 from steerkit.car.motion import MotionCheck
 from steerkit.diagram.units import degrees_of
+from steerkit.estimators.steering_sign import CLEAR, DOUBTED, SteeringSigns
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.vehicles.rollout import Rollout
@@ -34,6 +35,8 @@ FAST, FAST_TIME = 0.04, 3.0
 _STAMP_DRIFT = 2e-4  # by how much the clock of the pose may run differently
 BEHIND, BEHIND_TIME = 0.12, 0.5
 """So much later than its counter says, the quickest of them, a frame may not come for so long [s]: they queue up."""
+ACTS = 0.1
+"""The last command counts for so long as the one that the wheel answers [s]."""
 _COUNT_DRIFT = 1e-3  # by how much a sender's period may differ from the file's
 
 
@@ -103,6 +106,7 @@ class Senses:
         car = config.vehicle
         self._tracker = PathTracker(path=path, reference=car.l_f)
         self._motion = witness(config)
+        self._signs = SteeringSigns(Rollout.of(car))
         self._astray, self._asked = math.nan, -math.inf
         self._place: Any = None
         self.places = 0
@@ -175,6 +179,8 @@ class Senses:
             self.enabled_since = None
         if "delta_sw" in values and sent:
             self._check_wheel(arrived, sent)
+        if "delta_sw" in values:
+            self._check_signs(arrived, sent)
         if "x" in values or "psi" in values:
             self._locate(gap)
 
@@ -276,6 +282,20 @@ class Senses:
         slack = self.config.states.follow_angle
         if min(late) - slack <= self.values["delta_sw"] <= max(late) + slack:
             self.follow_ok = arrived
+
+    def _check_signs(self, arrived: float, sent: Sequence[tuple[float, float]]) -> None:
+        known, names = self.values, ("v", "r", "psi")
+        if all([name in known for name in names]):
+            command = sent[-1][1] if sent and arrived - sent[-1][0] < ACTS else math.nan
+            self._signs.add(arrived, command=command, wheel=known["delta_sw"], **{name: known[name] for name in names})
+
+    def wrong_sign(self, *, doubted: bool) -> str:
+        """Which sign of the steering is wrong, or ""; doubted: is something wrong in any case? Then less will do."""
+        return self._signs.wrong(DOUBTED if doubted else CLEAR)
+
+    def forget_sign(self) -> None:
+        """Take the motor's for the right one; only engaging can show that it is not."""
+        self._signs.forget()
 
     def _locate(self, gap: float) -> None:
         v = self.values

@@ -48,6 +48,9 @@ FAULTS = {
     "disabled": "the kit says that it is not enabled (report)",
     "deaf": "the kit does as if no command came (report)",
     "loose": "the motor no longer turns the wheel (report)",
+    "motor_sign": "the motor turns the wheel the other way (report)",
+    "wheel_sign": "the wheel's sensor has the other sign (report)",
+    "gyro_sign": "the yaw rate has the other sign (pose)",
 }
 """What can go wrong on demand, with the frames of `target` ("pose" or "report")."""
 _SAID = {
@@ -197,6 +200,8 @@ class SimulatedCar:
         target = self._reached if self.enabled else self.steered
         if self.enabled and self._fault("loose", t):
             target = motor.delta_sw
+        if self.enabled and self._fault("motor_sign", t):
+            target = -target
         x["tracker"] = self.tracker.update(t, x["tracker"], seen, place)
         x["pedals"] = self.pedals.update(t, x["pedals"], self.pedals.U(s=place.s), ())
         turns = self.motor if self.enabled else self.hands
@@ -232,6 +237,9 @@ class SimulatedCar:
             values[self.config.fault_flags[0]] = 1.0
         if torque := self._fault("torque", t):
             values["torque"] = torque.amount or 5.0
+        for kind, quantity in (("wheel_sign", "delta_sw"), ("gyro_sign", "r")):
+            if self._fault(kind, t):
+                values[quantity] = -values[quantity]
         for kind, target, quantity in (("jump", "", "x"), ("speed", "pose", "v"), ("speed", "report", "v_kit")):
             if off := self._fault(kind, t, target):
                 values[quantity] += off.amount or 3.0

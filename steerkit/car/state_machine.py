@@ -176,6 +176,8 @@ class Facts(NamedTuple):
     """How long the kit has been enabled without our asking [s]; 0 only if it has let go."""
     recording: str = ""
     """What is wrong with a recording that has to be made."""
+    wrong_sign: str = ""
+    """Which sign of the steering is wrong."""
     astray: float = math.inf
     """The time in which a pose that lies unnoticed could lead the car half a metre off [s]."""
 
@@ -211,8 +213,15 @@ def human(li: StateLimits, f: Facts) -> Iterator[str]:
         yield "accelerator: the human accelerates"
 
 
+def steering_reversed(f: Facts) -> Iterator[str]:
+    """A command to the left, or what is measured of one, goes to the right."""
+    if f.wrong_sign:
+        yield f"steering reversed: {f.wrong_sign}"
+
+
 def always(li: StateLimits, f: Facts) -> Iterator[str]:
     """What must hold to engage, and at all times while engaged."""
+    yield from steering_reversed(f)
     if not f.connected:
         yield "controller gone: no controller is connected"
     if not f.report_age < li.report_age:
@@ -281,6 +290,12 @@ def foreign_enable(li: StateLimits, f: Facts) -> Iterator[str]:
     if not f.foreign_enable < li.foreign_enable:
         why = "another program steers, or the kit does not let go: switch it off"
         yield f"foreign enable: the kit has been enabled for {_ms(f.foreign_enable)}, and not by us; {why}"
+
+
+def latched(li: StateLimits, f: Facts) -> Iterator[str]:
+    """What else is wrong, told in every state in which nothing drives or may."""
+    yield from steering_reversed(f)
+    yield from foreign_enable(li, f)
 
 
 def engaging(li: StateLimits, f: Facts) -> Iterator[str]:

@@ -22,7 +22,7 @@ from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.assembly import with_controller
 from steerkit.scenario.catalogue import make_safety
-from steerkit.scenario.drive import assembled
+from steerkit.scenario.drive import SignCheck, assembled
 
 SIGNALS = (
     "path.e",
@@ -111,6 +111,7 @@ class LearningRun:
         self.safe = setting.safe
         self._element = setting.element(scenario.nominal)
         self.recorder = Recorder(self.loop, SIGNALS + SAFETY_SIGNALS * self.safe)
+        self._signs = SignCheck(scenario, self.loop, self.policy.dt)
 
     @property
     def counts(self) -> Counts:
@@ -158,8 +159,10 @@ class LearningRun:
         self._take_over()
         self.loop.advance(counts.k, self.x, self.y)
         self.recorder.add(counts.k, self.y)
+        sample = Sample(self.loop, self.t, self.y)
+        self._signs.look(sample)
         if self.each is not None:
-            self.each(Sample(self.loop, self.t, self.y))
+            self.each(sample)
         learning, rounds = self._value("supervisor.learning") > 0.5, counts.rounds
         ended = learner_state.sample(
             counts.k // self.ticks,
@@ -249,6 +252,7 @@ class LearningRun:
         start = loop.with_block_state(start, "driver", driver)
         self.x, self.y = list(start.x), list(start.y)
         self.learner_state.relocated(self.t)
+        self._signs = SignCheck(self.experiment.scenario, loop, self.policy.dt)
 
     def _state(self) -> tuple[float, ...]:
         s = tuple([self._value(signal) for signal in self._inputs.values()])

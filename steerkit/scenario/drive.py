@@ -15,11 +15,13 @@ from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, Sample, simulate
+from steerkit.estimators.steering_sign import SteeringSigns
 from steerkit.metrics import of_log
 from steerkit.scenario.assembly import bare, steering_loop
 from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.scenario import Scenario
 from steerkit.task import TRIP
+from steerkit.vehicles.rollout import Rollout
 
 
 def assembled(
@@ -53,6 +55,28 @@ def assembled(
         safety=safety,
         **blocks,
     )
+
+
+class SignCheck:
+    """Does the car of a loop turn where it is steered? `look` at its samples: see `SteeringSigns`."""
+
+    def __init__(self, scenario: Scenario, loop: Loop, dt: float):
+        self._plant, self._signs = scenario.vehicle.plant, SteeringSigns(Rollout.of(scenario.nominal), dt)
+        chain = [name for name in ("link", "actuator", "column", "car") if name in loop.blocks]
+        into = loop.inputs_of(chain[0])
+        self._command = next(into[name] for name in ("delta_sw_cmd", "delta_sw_in") if name in into)
+        last = chain[-2] if len(chain) > 1 else "car"
+        outputs = [port.name for port in loop.blocks[last].outputs]
+        self._wheel = f"{last}.{'delta_sw_meas' if 'delta_sw_meas' in outputs else 'delta_sw'}"
+
+    def look(self, sample: Sample) -> None:
+        """At a sample; raises ValueError where the steering is wired the wrong way round."""
+        signs = self._signs
+        v, r, psi = (sample[f"car.{name}"] for name in ("v", "r", "psi"))
+        signs.add(sample.t, command=sample[self._command], wheel=sample[self._wheel], v=v, r=r, psi=psi)
+        if wrong := signs.wrong():
+            plant = f"plant '{self._plant}': at {sample.t:.1f} s it is steered the wrong way round"
+            raise ValueError(f"{plant} (+ is left, ISO 8855): {wrong}")
 
 
 def controller(name: str, scenario: Scenario) -> Block:
@@ -90,14 +114,16 @@ def drive(
 
     only_while_held: end at the first sample in which the recovery controller has the wheel. each: called with every
     sample of the log as it is driven, such as a live stream's. The run also ends after the time that the slowest
-    driver would need; then the last `path.progress` is short of `rounds` times the course.
+    driver would need; then the last `path.progress` is short of `rounds` times the course. Raises ValueError where the
+    car turns the other way than it is steered: `SignCheck`.
     """
     if rounds is not None:
         scenario = scenario.with_(course={"rounds": rounds})
     loop = drive_loop(scenario, steering, doe=doe, seed=seed, s=s)
-    length = scenario.length
+    length, signs = scenario.length, SignCheck(scenario, loop, steering.dt)
 
     def over(sample: Sample) -> bool:
+        signs.look(sample)
         if each is not None:
             each(sample)
         lost = only_while_held and sample["supervisor.learning"] < 0.5

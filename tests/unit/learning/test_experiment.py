@@ -166,3 +166,12 @@ def test_the_next_policy_begins_uncorrected() -> None:
         before = run.counts.corrected
         run.drive()
     assert (before, run.counts.corrected) == (10, 0)
+
+
+def test_a_plant_that_turns_the_other_way_ends_the_run() -> None:
+    """At once, whoever steers."""
+    scenario = Scenario(course="genesis", vehicle={"plant": "tests.support.wrong_signs:TurnsRight"})
+    e: list[float] = []
+    with pytest.raises(ValueError, match=r"steered the wrong way round.*the car turns against its wheel"):
+        learn(Experiment(scenario=scenario, minutes=1.0), each=lambda sample: e.append(abs(sample["path.e"])))
+    assert max(e) < 1.0

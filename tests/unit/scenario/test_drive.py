@@ -60,3 +60,35 @@ def test_the_table_says_of_each_drive_what_its_figures_are() -> None:
     log = logs["stanley"]
     lost = Log(log.t, {**log.signals, "path.e": np.full(len(log.t), 0.6)}, log.units)
     assert [next(iter(column.cells)) for column in comparison("lost", {"a": lost}).columns][1] == "no"
+
+
+@pytest.mark.parametrize(
+    ("plant", "said"), [("TurnsRight", "the car turns against its wheel"), ("YawsRight", "the yaw rate goes")]
+)
+@pytest.mark.parametrize(("name", "course", "v"), [("stanley", "genesis", 8.0), ("lqr-adaptive", "sweeping-7", 15.0)])
+def test_a_plant_that_turns_the_other_way_ends_the_drive(
+    plant: str, said: str, name: str, course: str, v: float
+) -> None:
+    """At once: within 2 s and 1 m."""
+    vehicle = {"plant": f"tests.support.wrong_signs:{plant}"}
+    scenario = Scenario(course=course, vehicle=vehicle, driver={"v_min": v, "v_max": v}, steering={"delay": 0.2})
+    e: list[float] = []
+    with pytest.raises(ValueError, match=rf"steered the wrong way round.*{said}.*check the sign"):
+        drive(scenario, controller(name, scenario), each=lambda sample: e.append(abs(sample["path.e"])))
+    assert max(e) < 0.5
+    assert len(e) < 2.0 / 0.05
+
+
+@pytest.mark.parametrize("told", [None, 0.0])
+def test_a_car_that_swings_is_not_taken_for_one_that_turns_the_other_way(told: float | None) -> None:
+    """Under torque, 0.5 s late, a gain of up to 2.3, pushed about."""
+    vehicle, steering = {"plant": "benchmarks.plants.torque_car:TorqueCar"}, {"command": "torque", "delay": 0.5}
+    scenario = Scenario(
+        course="sweeping-7",
+        vehicle=vehicle,
+        steering=steering,
+        driver={"v_min": 12.0, "v_max": 12.0},
+        knowledge={"delay": told},
+    )
+    log = drive(scenario, controller("stanley", scenario), seed=3, rounds=0.1)
+    assert abs(log["path.e"]).max() > 2.0
