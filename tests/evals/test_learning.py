@@ -47,17 +47,17 @@ def with_delay(run: LearningRun, delay: float) -> None:
 
 
 def test_a_car_whose_delay_grows_in_mid_drive_is_found_under_recovery_and_learned_anew() -> None:
-    """The recovery controller, told the old delay, swings by metres; it would never come to rest within 0.1 m."""
+    """The learner fails at once (it drives on through a change to 0.4 s); the recovery was told the old delay."""
     scenario = Scenario(course="random-71", steering={"delay": 0.1})
     run = LearningRun(Experiment(scenario=scenario, minutes=3.0, seed=1))
     while run.t < 60.0:
         run.drive()
-    with_delay(run, 0.4)
+    with_delay(run, 0.5)
     failures, good = run.counts.failures, 0
     while good < 100 and not run.done():
         run.drive()
         good = good + 1 if run._value("supervisor.learning") > 0.5 and abs(run._value("path.e")) < 0.1 else 0
     assert run.counts.failures > failures
     assert good == 100  # five seconds
-    assert 7 <= run.policy.forecast.samples <= 10
+    assert 9 <= run.policy.forecast.samples <= 12
     assert (~run.transitions.own).sum() > 100
