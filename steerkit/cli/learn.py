@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.progress import Progress
 
 from steerkit._support.console import console
 from steerkit._support.errors import require
@@ -16,6 +17,7 @@ from steerkit._support.files import read_toml
 from steerkit._support.plugins import is_outside, mine, named_in
 from steerkit.car import loop as loops
 from steerkit.car import session as car_session
+from steerkit.cli.log import column_map
 from steerkit.cli.options import (
     DriveOptions,
     Machine,
@@ -30,12 +32,22 @@ from steerkit.cli.options import (
     scenario_of,
     streamed,
 )
+from steerkit.diagram.simulation import Log
 from steerkit.learning import report, rundir
+from steerkit.learning.data.from_log import Excitation
 from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS, Experiment, LearningRun
+from steerkit.learning.learn import UPDATES, from_log
 from steerkit.learning.pictures.film import film_of
 from steerkit.learning.pictures.run import draw_all
 from steerkit.learning.settings import changed
 from steerkit.learning.settings import setting as named
+from steerkit.logs import ColumnMap, read_drive
+from steerkit.task import DT
+
+
+def from_a_log(text: str, *names: str) -> Any:
+    """An option of learning from a recorded drive."""
+    return typer.Option(*names, help=text, rich_help_panel="From a log (with --from)")
 
 
 @drive_options
@@ -69,9 +81,30 @@ def learn(
         bool, in_simulation("Write learning curves into the run directory while it learns: tensorboard --logdir RUN.")
     ] = False,
     stream: Stream = "",
+    source: Annotated[
+        list[str] | None,
+        from_a_log("A recorded drive, of a human or a controller: what `steerkit log` reads; repeatable.", "--from"),
+    ] = None,
+    delay: Annotated[
+        float | None,
+        from_a_log("Of a recorded wheel: the steering's delay from its command (s), which the log cannot show."),
+    ] = None,
+    lag: Annotated[float, from_a_log("Of a recorded wheel: the steering's lag behind its command (s).")] = 0.0,
+    updates: Annotated[int, from_a_log("Updates of the Q-function.")] = UPDATES,
+    columns: Annotated[Path | None, from_a_log("TOML file: which column is what, its unit.", "--map")] = None,
+    column: Annotated[list[str] | None, from_a_log("QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
+    dbc: Annotated[list[str] | None, from_a_log("What is in CAN frames; repeatable.")] = None,
 ) -> None:
-    """Let a car learn to steer a course from nothing; the recovery controller takes over where it fails."""
+    """Let a car learn to steer a course from nothing; the recovery controller takes over where it fails.
+
+    With --from LOG it learns from recorded driving alone: of the car --vehicle, shown on --course.
+    """
     check_options(ctx)
+    _check_source(ctx)
+    if source:
+        how: dict[str, Any] = {"delay": delay, "lag": lag, "updates": updates, "dbc": dbc or ()}
+        _from_log(ctx, options, source, column_map(columns, column), out, **how)
+        return
     if options.car:
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
@@ -97,6 +130,69 @@ def learn(
         report.show(place, quiet=options.quiet)
     if options.as_json:
         print(json.dumps(report.figures_of_merit(run)), flush=True)
+
+
+def _from_log(
+    ctx: typer.Context,
+    options: DriveOptions,
+    files: list[str],
+    columns: ColumnMap,
+    out: Path | None,
+    *,
+    delay: float | None,
+    lag: float,
+    updates: int,
+    dbc: Any,
+) -> None:
+    """Learn from a recorded drive, and show what came of it."""
+    console.stderr = options.as_json
+    experiment = replace(_experiment(ctx, None, None), minutes=1.0)
+    drive = read_drive(files, columns, dbc=dbc, dt=DT, steer_ratio=float(experiment.scenario.nominal.steer_ratio))
+    told = delay is not None or lag > 0.0
+    said = "delta_sw is a command by its channel's name; --delay and --lag are for the angle of a wheel"
+    require(not (drive.commanded and told), drive.name, said)
+    late = (
+        f"taken to follow its command {delay or 0.0:g} s later with a lag of {lag:g} s"
+        if told
+        else "taken for the command: how late the steering is does not show in it; say so: --delay 0.1 --lag 0.2"
+    )
+    assumed = "" if drive.commanded else f"delta_sw is the angle of a wheel, by its channel's name; {late}"
+    if not options.quiet:
+        for note in (*drive.notes, *filter(None, [assumed])):
+            console.print(note, soft_wrap=True, highlight=False, markup=False)
+    name = Path(files[0]).name.partition(".")[0]
+    place = out or Path("runs") / f"from-{name}-{driven_on(experiment.scenario, options.conditions)}-seed{options.seed}"
+    with Progress(console=console, disable=options.quiet or not console.is_terminal) as bar:
+        task = bar.add_task("updates", total=updates)
+        run = from_log(
+            drive,
+            experiment,
+            place,
+            delay=delay or 0.0,
+            lag=lag,
+            updates=updates,
+            watch=lambda n: bar.update(task, completed=n),
+        )
+    assert run.source is not None
+    if not options.quiet:
+        shown = Excitation(**{f.name: run.source[f.name] for f in fields(Excitation)})
+        console.print(f"{drive.name}: {shown}", soft_wrap=True, highlight=False)
+    figures = report.show(place, quiet=options.quiet)
+    if options.as_json:
+        print(json.dumps(figures | {"from_log": run.source, "assumed": assumed, "run": str(place)}))
+
+
+_SOURCE_ONLY = ("delay", "lag", "updates", "columns", "column", "dbc")
+
+
+def _check_source(ctx: typer.Context) -> None:
+    """Refuse options that learning from a log has no use for, and its own without one."""
+    names, source = given(ctx), ctx.params["source"]
+    for name in sorted(names & {"car", "minutes", "rounds", "config", "live", "stream"} if source else ()):
+        raise ValueError(f"--{name} is for a car that drives: leave it out, or leave out --from")
+    for name in sorted(names & set(_SOURCE_ONLY) if not source else ()):
+        option = {"columns": "map"}.get(name, name)
+        raise ValueError(f"--{option} is for a recorded drive; name it: --from FILE, or leave --{option} out")
 
 
 def _learned(experiment: Experiment, place: Path, *, quiet: bool, live: bool, each: Any) -> LearningRun:
@@ -156,6 +252,10 @@ def show(
         Path | None, typer.Option(help="Film of the run to write, from its first second on (.gif).")
     ] = None,
     film_lasts: Annotated[float, typer.Option(help="Length of the film in s, 2 to 120.")] = 20.0,
+    distance: Annotated[
+        Path | None,
+        typer.Option(help="Log of a policy's drive (drive.npz): say only how far from the run's data it is."),
+    ] = None,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -164,11 +264,18 @@ def show(
     if len(runs) > 1:
         require(not diagnostics, "show --diagnostics", "takes one run; the others go with --against")
         require(film is None, "show --film", "takes one run")
+        require(distance is None, "show --distance", "takes one run")
         rows = report.show_several(runs)
         if as_json:
             print(json.dumps({"runs": rows}))
         return
     (run,) = runs
+    if distance is not None:
+        apart = report.distance_to(rundir.load(run), Log.load(distance), str(distance))
+        console.print(f"{distance}: {apart}", soft_wrap=True, highlight=False)
+        if as_json:
+            print(json.dumps(apart.figures()))
+        return
     if film is not None:  # before what takes longer, as its name may be refused
         console.print(f"film: {film_of(run, film, lasts=film_lasts)}", soft_wrap=True)
     figures = report.show(run, quiet=quiet)

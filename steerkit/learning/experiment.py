@@ -84,6 +84,8 @@ class LearningRun:
         self.experiment, self.watch = experiment, watch
         self.keep: Callable[[LearningRun], None] | None = None
         self.each: Callable[[Sample], None] | None = None
+        self.source: dict[str, Any] | None = None
+        """Of a run that began with a recorded drive: which, and how well it shows the car (`learn.from_log`)."""
         scenario = experiment.scenario
         setting = experiment.setting.suited(scenario.design_model())
         self.path = scenario.path()

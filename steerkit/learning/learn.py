@@ -1,21 +1,25 @@
-"""Run a learning experiment to its end, and keep it; or learn from a record, without driving."""
+"""Run a learning experiment to its end, and keep it; or learn from a record or a log, without driving."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path as FilePath
 
 from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.loop import Sample
+from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
+from steerkit.learning.data.from_log import Excitation, Recorded, transitions_of
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.experiment import Experiment, LearningRun, Watcher
+from steerkit.learning.experiment import SIGNALS, Experiment, LearningRun, Watcher
 from steerkit.learning.learner_state import untrained
 from steerkit.learning.nfq.iterate import Learned, update
 from steerkit.learning.rundir import held, is_free
 from steerkit.learning.settings import Setting
+from steerkit.task import DT
 
 
 def learn(
@@ -69,6 +73,10 @@ def _driven(run: LearningRun, each: Callable[[Sample], None] | None) -> Learning
     return run
 
 
+UPDATES = 4
+"""Updates of the Q-function on a log."""
+IMAGINED = 6000
+"""Least `fit.imagined` on a log: nothing but imagined driving is fitted."""
 ENDS = ("minutes", "episodes", "rounds")
 """What ends a run, and changes nothing in it until then."""
 
@@ -89,6 +97,60 @@ def _check_same(kept: Experiment, asked: Experiment, place: FilePath) -> None:
 
 def _later(end: float) -> float:
     return end or float("inf")  # rounds = 0: never
+
+
+def from_log(
+    drive: Recorded,
+    experiment: Experiment,
+    directory: str | FilePath | None = None,
+    *,
+    delay: float = 0.0,
+    lag: float = 0.0,
+    updates: int = UPDATES,
+    watch: Callable[[int], None] | None = None,
+) -> LearningRun:
+    """Learn from a recorded drive alone, human or controller, and return a run that has driven that and no more.
+
+    It learns a model of the car as a run does (`CarModel`), and imagines the driving. A run of a longer experiment may
+    go on from its directory by `learn`, in simulation.
+
+    drive, delay, lag: see `steerkit.learning.data.from_log.as_driven`. experiment: setting, car (whose data sheet is
+    believed) and seed; the course is where it is shown, and `minutes` become the drive's. updates: of the Q-function,
+    all on the same record. watch: called with the number of each that is done. Raises ValueError for a setting that
+    learns no model of the car, a drive that shows too little of the car (`Excitation`), and a directory that is in use.
+    """
+    setting, scenario, where = experiment.setting, experiment.scenario, drive.name
+    models = f"setting '{setting.name}' learns no model of the car; valid: default, smooth, low-pass"
+    require(setting.models_recovery and setting.fit.dead_time > 0.0, "learn from a log", models)
+    require(updates >= 1, "learn from a log", f"updates = {updates}, expected >= 1")
+    place = None if directory is None else FilePath(directory)
+    free = place is None or not place.exists() or (place.is_dir() and is_free(place))
+    require(free, "learn from a log", f"{place} is not an empty directory; choose another")
+    largest = max(map(abs, setting.actions))
+    record, log = transitions_of(
+        drive, scenario.nominal, setting.element(scenario.nominal), largest, delay=delay, lag=lag
+    )
+    found = Excitation.of(record, setting.description(), setting.fit.dead_time)
+    found.require_enough(where)
+    fit = replace(setting.fit, imagined=max(setting.fit.imagined, IMAGINED))
+    changed = replace(experiment, setting=replace(setting, fit=fit), minutes=len(log.t) * DT / 60.0)
+    run = LearningRun(changed)
+    run.source = {"log": where, "delay": delay, "lag": lag, **asdict(found)}
+    run.counts.k = len(log.t) * run.ticks
+    run.learner_state.transitions = record
+    for number in range(1, updates + 1):
+        run.learner_state.train(run.t, trusted=True)
+        run.learner_state.take_over(math.inf, e=0.0, e_dot=0.0)
+        if watch is not None:
+            watch(number)
+    run.steer()
+    if place is not None:
+        place.mkdir(parents=True, exist_ok=True)
+        with held(place):
+            rundir.keep_in(run, place)
+            signals = {name: log[name] for name in SIGNALS}
+            Log(log.t, signals, {name: run.loop.units[name] for name in SIGNALS}).save(rundir.part_file(place, 0))
+    return run
 
 
 def offline(record: Transitions, setting: Setting, updates: int, *, seed: int = 0) -> Iterator[NfqPolicy]:

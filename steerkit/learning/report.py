@@ -20,8 +20,10 @@ from steerkit._support.errors import require
 from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
+from steerkit.learning.data.distance import Distance, states_of
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learn import learn
+from steerkit.learning.pictures.data import beside_the_data
 from steerkit.plots.drive import learning, round_driven
 from steerkit.plots.style import save
 from steerkit.scenario import drive as evaluate
@@ -206,6 +208,8 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     """
     run = rundir.load(place)
     merit = figures_of_merit(run)
+    if run.source is not None:
+        merit = {"log": run.source["log"]} | merit
     table = Table(title=f"{place}", show_header=False)
     for key, value in merit.items():
         table.add_row(key.replace("_", " "), f"{value:.2f}" if isinstance(value, float) else str(value))
@@ -217,14 +221,31 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     }
     net = "the final net" if run.counts.updates else "a net that was never trained"
     console.print(evaluate.comparison(f"one round of {scenario.course.name}, {net}", logs))
-    drive = rundir.drive_log(place, until=run.t)
     name = run.experiment.setting.name
-    save(learning(drive, title=f"{name} on {scenario.course.name}: from the first second"), place / "learning.png")
-    title = f"{name} on {scenario.course.name}: final net"
-    save(round_driven(logs["learned"], logs["stanley"], title=title), place / "round.png")
+    pictures = {
+        "round": round_driven(logs["learned"], logs["stanley"], title=f"{name} on {scenario.course.name}: final net")
+    }
+    if run.counts.episodes:
+        title = f"{name} on {scenario.course.name}: from the first second"
+        pictures["learning"] = learning(rundir.drive_log(place, until=run.t), title=title)
+    far = {}
+    if len(run.transitions):
+        apart = distance_to(run, logs["learned"], "the final net's drive")
+        far = {"distance": apart.figures()}
+        pictures["data"] = beside_the_data(
+            run.transitions, logs["learned"], apart, title=f"{place.name}: its data, and a drive"
+        )
+        console.print(f"this drive's {apart}", soft_wrap=True, highlight=False)
+    for file, figure in pictures.items():
+        save(figure, place / f"{file}.png")
     if not quiet:
-        console.print(f"pictures: {place}/learning.png, {place}/round.png", soft_wrap=True)
-    return merit | {"drives": [evaluate.row_of(name, log) for name, log in logs.items()]}
+        console.print(f"pictures: {', '.join(f'{place}/{file}.png' for file in pictures)}", soft_wrap=True)
+    return merit | far | {"drives": [evaluate.row_of(name, log) for name, log in logs.items()]}
+
+
+def distance_to(run: LearningRun, log: Log, where: str) -> Distance:
+    """How far from what a run has recorded a drive's samples lie."""
+    return Distance.of(states_of(log, where), run.transitions, run.experiment.setting.description())
 
 
 def _final_drive(place: FilePath, run: LearningRun) -> Log:

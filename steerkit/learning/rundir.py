@@ -194,6 +194,7 @@ def save(run: LearningRun, place: FilePath) -> None:
         "pending": pending[0] if pending else None,
         "trusted": run.learner_state.trusted,
         "before": None if before is None else before._asdict(),
+        "source": run.source,
     }
     write_text(place / "run.json", json.dumps(document, indent=1))
     for stale in (*place.glob("state-*.npz"), *place.glob("transitions-*.npz"), *place.glob("nets/steering-*.npz")):
@@ -242,6 +243,7 @@ def resumed(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
 def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     number = data["checkpoint"]
     run = LearningRun(_experiment(place, data))
+    run.source = data.get("source")
     learner_state = run.learner_state
     learner_state.counts = _counts(place, data["counts"])
     state = run.loop.load_state(_existing(place / f"state-{number}.npz"))

@@ -90,11 +90,11 @@ _SPELLINGS = {
 _SPELT = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings.split()}
 """Units as files spell them, or as names end in them."""
 
+_COMMANDS = "safety.delta_sw supervisor.delta_sw doe.delta_sw controller.delta_sw"
 _KNOWN_AS = {
     "t": "t time timestamp timestamps stamp time_stamp elapsed_time log_time t_abs",
-    "delta_sw": "delta_sw supervisor.delta_sw doe.delta_sw controller.delta_sw actuator.delta_sw car.delta_sw "
-    "steering_wheel_angle steering_wheel steer_wheel_angle steering_angle steer_angle sw_angle str_ang lws_angle "
-    "sas_angle",
+    "delta_sw": f"{_COMMANDS} delta_sw steering_wheel_angle steering_wheel steer_wheel_angle steering_angle "
+    "steer_angle sw_angle str_ang lws_angle sas_angle",
     "delta": "delta steering_tire_angle steering_tyre_angle road_wheel_angle tire_angle df",
     "v": "v sensors.v car.v wheel_speeds.mean vehicle_speed longitudinal_velocity veh_spd v_ego speed velocity v_x vx "
     "linear.x",
@@ -112,6 +112,12 @@ command before the angle. Capitals, blanks and dashes do not count, nor does a u
 
 _WISHES = ("cmd", "command", "desired", "target", "request", "setpoint", "control", "trajectory", "planning")
 """Words in the name of a topic or message that holds what was wanted, not what was."""
+
+
+def is_command(name: str) -> bool:
+    """Does a channel of that name hold what the steering was asked for, and not what the wheel did?"""
+    own = any(words(name).endswith(command) for command in _COMMANDS.split())
+    return own or any(word in re.split(r"[^a-z0-9]", words(name)) for word in _WISHES)
 
 
 def candidates(quantity: str, channels: Mapping[str, Channel]) -> list[str]:

@@ -187,6 +187,8 @@ class Drive:
     """Where the car was, east or as the log has it (n,) [m]; NaN where not known, None where the log has none."""
     y: Array | None = None
     """The same, north."""
+    commanded: bool = False
+    """Is delta_sw what the steering was asked for, by its channel's name? Else it counts as what the wheel did."""
     notes: tuple[str, ...] = ()
     """What was read and what was repaired, in words."""
     digest: str = ""
@@ -225,6 +227,7 @@ class Drive:
         trusted: bool = False,
         notes: Sequence[str] = (),
         digest: str = "",
+        commanded: bool = False,
     ) -> Drive:
         """A drive from columns in SI (n,): t, delta_sw, v, r or psi or both, x and y if known; on one clock.
 
@@ -255,6 +258,7 @@ class Drive:
             calibrated=calibrated,
             notes=tuple(remarks),
             digest=digest,
+            commanded=commanded,
             **{key: even[key] for key in ("delta_sw", "v", "psi", "x", "y") if key in even},
         )
         seconds = float(np.sum(drive.driving)) * dt

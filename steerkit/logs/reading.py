@@ -16,7 +16,7 @@ import numpy as np
 from steerkit._support.errors import require
 from steerkit._support.files import LARGEST, opened
 from steerkit.logs import can_frames, ros, tables
-from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, candidates, is_time, unit_of
+from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, candidates, is_command, is_time, unit_of
 from steerkit.logs.drive import ODD, Drive, aligned, in_metres, in_order, odd_values
 
 LONGEST = 0.5
@@ -259,7 +259,16 @@ def drive_of(
         notes.append(f"delta_sw = {ratio:g} * the road wheels' angle: the log has no other; the ratio is {kind}")
     if {"lat_deg", "lon_deg"} <= values.keys():
         in_metres(values, times, notes)
-    return Drive.of(aligned(values, times, where, notes), name=name, dt=dt, trusted=trusted, notes=notes, digest=digest)
+    commanded = "delta_sw" in used.columns and is_command(used.columns["delta_sw"].name)
+    return Drive.of(
+        aligned(values, times, where, notes),
+        name=name,
+        dt=dt,
+        trusted=trusted,
+        notes=notes,
+        digest=digest,
+        commanded=commanded,
+    )
 
 
 def _many(files: Any) -> list[Any]:

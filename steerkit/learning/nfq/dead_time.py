@@ -45,6 +45,9 @@ MATTERS = 5e-4
 """Turn in a sample by which it has to be more besides [rad]."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
+MOTOR = 0.2
+"""What of the lateness of a record of others' driving is taken for lag [s], of motor and car: a dead time found too
+long foresees what has not happened, one found too short is made up for by the model's three angles."""
 ROWS = 3000
 """Newest samples from which it has to."""
 LITTLE = 0.01
@@ -79,9 +82,12 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     record = with_heading_of_yaw_rate(record) if fast else record
     most = min(LONGEST, round(longest / dt))
     record = since_change(record, most)
-    best = dead_time_of(record, most)
-    part = aligned(record, best)
-    model = refined(CarModel.fit(part, description, dt, fast=fast), part)
+    if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
+        best = dead_time_of(record, most)
+        part = aligned(record, best)
+        model = refined(CarModel.fit(part, description, dt, fast=fast), part)
+    else:
+        best, part, model = _of_others(record, description, most, dt, fast)
     numbers = {name: getattr(model, name) for name in (*ANSWER, "straight")}
     forecast = DelayCompensator(samples=best, trust=TRUST, dt=dt, **numbers)
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
@@ -90,6 +96,27 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     straightened = Transitions(COLUMNS)
     straightened.extend(s, part.a, s_next, part.episode, part.own)
     return Process(straightened, model, forecast)
+
+
+def _of_others(
+    record: Transitions, description: StateDescription, most: int, dt: float, fast: bool
+) -> tuple[int, Transitions, CarModel]:
+    """Dead time [samples], aligned record and model where all was steered by others.
+
+    A controller answers what it sees, a human steers smoothly: one sample's turn then shows its dead time falsely, or
+    not. So each dead time's model has to foresee w over AHEAD samples; of those that are as good as the best, by
+    AS_GOOD, it is the one nearest to `lateness` less MOTOR.
+    """
+    likely = (lateness(record) - MOTOR) / dt
+    found = list[tuple[float, int, Transitions, CarModel]]()
+    for samples in range(most + 1):
+        part = aligned(record, samples)
+        model = refined(CarModel.fit(part, description, dt, fast=fast), part)
+        found.append((strays_of(model, part), samples, part, model))
+    least = min(error for error, *_ in found)
+    good = [one for one in found if one[0] <= AS_GOOD * least + NOTHING]
+    _, samples, part, model = min(good, key=lambda one: abs(one[1] - likely))
+    return samples, part, model
 
 
 def since_change(record: Transitions, longest: int) -> Transitions:
@@ -121,6 +148,20 @@ def dead_time_of(record: Transitions, longest: int) -> int:
     while best + 1 < len(errors) and errors[best + 1] <= AS_GOOD * min(errors) + NOTHING:
         best += 1
     return best
+
+
+def lateness(record: Transitions) -> float:
+    """By how much later than in the next sample w follows the wheel [s], dead time and lags together: late in
+
+        w(k + 1) = (gain + loss v^2) (doe(k + 1) - late d(doe)/dt) + constant
+
+    by least squares. Who steers smoothly shows this well, and hardly how much of it is dead time.
+    """
+    v, doe = speed(record.s_next), record.s_next[:, DOE]
+    w = record.s_next[:, E_DOT] / v - record.s_next[:, PSI_E]
+    x = np.column_stack((doe, v * v * doe, (doe - record.s[:, DOE]) / DT, np.ones(len(doe))))
+    gain, loss, late, _ = np.linalg.lstsq(x, w, rcond=None)[0]
+    return float(-late / max(abs(gain + loss * np.mean(v * v)), 1e-9))
 
 
 def unexplained(record: Transitions, longest: int) -> list[float]:
@@ -178,9 +219,7 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     """
     from scipy.optimize import least_squares  # loads as slowly as all else that a drive needs
 
-    episode = np.cumsum(~follow(part))
-    row = np.arange(1, max(1, len(part) - AHEAD))
-    row = row[episode[row - 1] == episode[row + AHEAD]][-ROWS:]
+    row = _foreseeable(part)
     if len(row) < REFINED:
         return model
     s, v = part.s, speed(part.s)
@@ -216,6 +255,21 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     other = replace(model, **answer, straight=straight)
     right = (other.ratio(np.array([v.min(), v.max()])) > 0.0).all() and 0.0 < other.yaw < 4.0 * abs(model.yaw)
     return other if right else model
+
+
+def strays_of(model: CarModel, part: Transitions) -> float:
+    """By how much w comes otherwise than a model foresees it, 1 to AHEAD samples ahead, RMS [rad]."""
+    row, fast = _foreseeable(part), model.fast > 0.0
+    w = part.s[:, E_DOT] / speed(part.s) - part.s[:, PSI_E]
+    errors = [ahead - w[row + j + 1] for j, ahead in enumerate(_foreseen(part, row, _weights(model), fast))]
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _foreseeable(part: Transitions) -> NDArray[np.intp]:
+    """The newest ROWS rows that have a row before them and AHEAD after them in their episode."""
+    episode = np.cumsum(~follow(part))
+    row = np.arange(1, max(1, len(part) - AHEAD))
+    return row[episode[row - 1] == episode[row + AHEAD]][-ROWS:]
 
 
 def _weights(model: CarModel) -> tuple[float, ...]:

@@ -1,15 +1,21 @@
 """Updates from a record alone, without driving."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from steerkit.learning.learn import offline
+from steerkit.learning import report, rundir
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.learn import from_log, learn, offline
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.settings import DEFAULT
+from steerkit.learning.settings import DEFAULT, MODEL_FREE
 from tests.support.modelled_car import driven
+from tests.unit.learning.data.test_from_log import T, slalom, steered
+
+QUICK = replace(DEFAULT, fit=replace(DEFAULT.fit, epochs=10, nets=1, iterations=1))
 
 
 @pytest.mark.parametrize("imagined", [0, 100])
@@ -27,3 +33,37 @@ def test_offline_updates_start_from_the_nets_before() -> None:
     first, second = (policy.nets for policy in offline(driven(), setting, 2, seed=4))
     alone = nfq.iterate(driven(), setting.problem, first or (), seed=4 * 100_003 + 1)
     assert np.array_equal(second[0][0], alone[0][0])
+
+
+def test_a_log_makes_a_run_that_can_be_shown_and_goes_on(tmp_path: Path) -> None:
+    experiment, place = Experiment(setting=QUICK, seed=3), tmp_path / "run"
+    numbers: list[int] = []
+    run = from_log(steered(slalom(T[:1200])), experiment, place, updates=2, watch=numbers.append)
+    again = from_log(steered(slalom(T[:1200])), experiment, updates=2)
+    assert numbers == [1, 2]
+    assert len(run.policy.nets) == 2  # the best of all updates, and its mirror image
+    for mine, other in zip(run.policy.nets, again.policy.nets, strict=True):
+        np.testing.assert_array_equal(mine[0], other[0])
+    kept = rundir.load(place)
+    assert kept.source == run.source
+    assert kept.done()
+    assert kept.counts.updates == 2
+    np.testing.assert_array_equal(rundir.final_policy(place).nets[0][0], run.policy.nets[0][0])
+    assert len(rundir.drive_log(place).t) == 1200
+    figures = report.show(place, quiet=True)
+    assert figures["log"] == "made up"
+    assert {file.name for file in place.glob("*.png")} == {"round.png", "data.png"}
+    longer = learn(replace(run.experiment, minutes=1.02), place)
+    assert longer.t == pytest.approx(61.2, abs=0.1)
+    assert len(longer.transitions) > len(run.transitions)
+    with pytest.raises(ValueError, match="not an empty directory"):
+        from_log(steered(slalom()), experiment, place)
+
+
+def test_what_makes_no_driver_is_refused() -> None:
+    with pytest.raises(ValueError, match="'model-free' learns no model of the car; valid: default"):
+        from_log(steered(slalom()), Experiment(setting=MODEL_FREE))
+    with pytest.raises(ValueError, match="updates = 0"):
+        from_log(steered(slalom()), Experiment(setting=QUICK), updates=0)
+    with pytest.raises(ValueError, match="made up: shows too little of the car"):
+        from_log(steered(np.zeros(2400)), Experiment(setting=QUICK))
