@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.progress import track
+from rich.table import Table
 
 from benchmarks.run.trials import drive_each
 from steerkit._support.random import normals, seed_state
@@ -188,15 +189,15 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     rows = list[dict[str, Any]]()
     count, updates = (1, 1) if options.quick else (options.logs, UPDATES)
     with tempfile.TemporaryDirectory() as folder:
-        for number in track(range(options.first, options.first + count), "logs", console=Console(stderr=True)):
+        first = 2 if options.quick else options.first  # a log that is not refused
+        for number in track(range(first, first + count), "logs", console=Console(stderr=True)):
             rows.append(one_log(number, options.seconds, updates, Path(folder)))
-            row = rows[-1]
-            end = row["refused"] or (
-                f"{'GOOD' if row['good'] else 'not good'}: RMS e {row['rms_e']:.3f} m, max {row['max_e']:.3f} m, "
-                f"jerk {row['max_jerk']:.1f} m/s^3; dead time {row['dead_samples']} samples"
-            )
-            print(f"{number}: {row['by']} on {row['course']}, {row['car']}, {row['channel']}: {end}", flush=True)
     refused = sum(bool(row["refused"]) for row in rows)
     good = sum(row.get("good", False) for row in rows)
-    print(f"{good} GOOD and {refused} refused of {len(rows)}")
+    table = Table("log", "driven by", "course", "car", "channel", "RMS e", "max e", "refused", title=f"{good} GOOD")
+    for row in rows:
+        reached = [f"{row[name]:.3f} m" if name in row else "" for name in ("rms_e", "max_e")]
+        about = [str(row[name]) for name in ("number", "by", "course", "car", "channel")]
+        table.add_row(*about, *reached, row["refused"].partition("learn from: ")[2])
+    Console(width=170).print(table)
     return {"good": good, "refused": refused, "share": (good + refused) / len(rows), "logs": rows}

@@ -33,6 +33,7 @@ KEYS = {
         "recovery_lost recovery_max_e recovery_stays_share recovery_swing_worst recovery_swings rms_x_best_told rows "
         "wheel_spread_nets wheel_x_best_told"
     ),
+    "from_logs": "good logs refused share",
     "gym_steps": "conditions steps_per_cpu_second vector_steps_per_second x_sync_vector_env",
     "learning": "final_rms_e_worst good_median good_share outcomes seeds setting",
     "mpc_solve": (
@@ -134,6 +135,9 @@ def sensible(name: str, f: Any) -> None:
             assert (f["learners"], run["car"], run["nets"] > 0) == (1, "torque", True)
             assert (change["car"], change["change"], change["best"]) == ("passat", "tyres", "lqr")
             assert (f["left"], f["codes"]) == (0, 1)
+        case "from_logs":
+            assert (f["good"], f["refused"], len(f["logs"])) == (1, 0, 1)
+            assert 0.001 < f["logs"][0]["rms_e"] < 0.05
         case "gym_steps":
             assert all(rate > 0.0 for rates in f["steps_per_cpu_second"].values() for rate in rates.values())
             assert f["x_sync_vector_env"] > 3.0
