@@ -18,7 +18,9 @@ from __future__ import annotations
 import argparse
 import math
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -116,8 +118,8 @@ def human(scenario: Scenario, rng: np.random.Generator) -> Human:
     )
 
 
-def simulated(number: int, seconds: float, folder: Path) -> tuple[Drive, Scenario, dict[str, Any]]:
-    """Log `number`, the scenario of its car, and what is told of it."""
+def simulated(number: int, seconds: float, folder: Path) -> tuple[Callable[[], Drive], Scenario, dict[str, Any]]:
+    """What reads log `number`, the scenario of its car, and what is told of it."""
     rng = np.random.default_rng([7, number])
     course = COURSES[rng.integers(len(COURSES))].format(COURSES_FROM + number)
     start = straightest(Scenario(course=course).path())
@@ -135,10 +137,10 @@ def simulated(number: int, seconds: float, folder: Path) -> tuple[Drive, Scenari
     file = folder / f"{number}.npz"
     Log(log.t, seen, units).save(file)
     told = {"by": name, "course": course, "car": base.vehicle.name, "channel": "wheel" if measured else "command"}
-    return read_drive(file, dt=DT), base.with_(reference="front"), told
+    return partial(read_drive, file, dt=DT), base.with_(reference="front"), told
 
 
-def real(number: int, seconds: float, folder: Path) -> tuple[Drive, Scenario, dict[str, Any]]:
+def real(number: int, seconds: float, folder: Path) -> tuple[Callable[[], Drive], Scenario, dict[str, Any]]:
     """A part of a real lap, the car that is identified from all of it, and what is told."""
     laps = shipped_drives()
     name, other = (laps[(number // 5 + k) % len(laps)] for k in (0, 1))
@@ -146,7 +148,7 @@ def real(number: int, seconds: float, folder: Path) -> tuple[Drive, Scenario, di
     begin = np.random.default_rng([8, number]).uniform(0.0, max(0.0, whole.t[-1] - seconds))
     keep = (whole.t >= begin) & (whole.t <= begin + seconds)
     part = {key: getattr(whole, key)[keep] for key in ("delta_sw", "v", "r")}
-    drive = Drive.of({"t": whole.t[keep], **part}, name=f"{name} from {begin:.0f} s", dt=DT)
+    drive = partial(Drive.of, {"t": whole.t[keep], **part}, name=f"{name} from {begin:.0f} s", dt=DT)
     file = folder / f"{number}.toml"
     identify(whole).save(file)
     test: dict[str, Any] = dict(course=other, driver={"speed": "recorded", "v_min": 3.0, "v_max": 13.0})
@@ -157,13 +159,13 @@ def real(number: int, seconds: float, folder: Path) -> tuple[Drive, Scenario, di
 def one_log(number: int, seconds: float, updates: int, folder: Path) -> dict[str, Any]:
     """Learn from a log and test-drive what came of it."""
     is_real = number % 5 == 4
-    drive, scenario, told = (real if is_real else simulated)(number, seconds, folder)
+    read, scenario, told = (real if is_real else simulated)(number, seconds, folder)
     steering = scenario.steering
     late: dict[str, Any] = {}
     if told["channel"] == "wheel" and not is_real:
         late = {"delay": steering.delay, "lag": steering.lag}
     try:
-        run = from_log(drive, Experiment(scenario=scenario, seed=number), updates=updates, **late)
+        run = from_log(read(), Experiment(scenario=scenario, seed=number), updates=updates, **late)
     except ValueError as why:
         return {"number": number, **told, "refused": str(why)}
     found = run.source or {}
