@@ -31,7 +31,9 @@ def test_a_round_of_the_course_stays_within_a_tenth_of_a_metre(delay: float) -> 
     assert (np.abs(log["path.e"]).max(axis=0) < [0.1, 0.3]).all()
 
 
-@pytest.mark.parametrize(("recovery", "low", "high"), [("adaptive", 0.0, 0.15), ("auto", 1.0, math.inf)])
+@pytest.mark.parametrize(
+    ("recovery", "low", "high"), [("adaptive", 0.0, 0.15), ("auto", 0.0, 0.15), ("stanley", 1.0, math.inf)]
+)
 def test_only_the_adaptive_one_recovers_a_car_of_unknown_delay(recovery: str, low: float, high: float) -> None:
     """The largest |e| from 10 s on while nothing is learned."""
     place = Scenario.under("hard", steering={"delay": 0.35, "lag": 0.28}, knowledge={"delay": 0.0}, recovery=recovery)
