@@ -53,6 +53,9 @@ class Line:
         """Keep it."""
         self.asked = delta_sw
 
+    def note(self, message: object) -> None:
+        """What a controller believes of the car: for a recording, which is not made here."""
+
 
 class ProductClient:
     """Steers with one of the product's controllers."""

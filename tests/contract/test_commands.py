@@ -233,7 +233,7 @@ def test_the_table_names_only_lines_that_a_page_shows() -> None:
 SHORT = {
     "benchmarks study": r"--quick|--list$",
     "benchmarks run": r" run golden|--only.*--seeds 1\b|--seeds 1\b.*--only|--backend dask",
-    "steerkit learn": r"--help|--minutes \+?0\.[012]\d*\b|--minutes \+?0\.30*\b",
+    "steerkit learn": r"--help|--minutes \+?0\.[012]\d*\b|--minutes \+?0\.30*\b|--from \S+ --updates 1 ",
 }
 """As they stand, these measure and drive for minutes or hours; what their short forms hold."""
 
