@@ -13,7 +13,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy, combined
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.iterate import patterns
-from steerkit.learning.nfq.rprop import predict
+from steerkit.learning.nfq.rprop import forward
 from steerkit.plots.style import COLOURS, new_figure, styled
 from steerkit.scenario import Scenario
 from steerkit.task import TRIP
@@ -35,11 +35,15 @@ Array = NDArray[np.float64]
 
 
 def q_values(policy: NfqPolicy, s: Array) -> Array:
-    """Each net's value of each action (nets, actions, n) for the states s (n, columns); actions in rising order."""
+    """Each net's value of each action (nets, actions, n) for the states s (n, columns); actions in rising order.
+
+    In doubles: in singles the last digits, and so the contours, are another machine's.
+    """
     require(bool(policy.nets), "diagnostics", "the policy has no nets, expected at least one; let it learn first")
     d, scale = policy.description, policy.description.scale_of(policy.actions)
     inputs = [patterns(d, s, np.full(len(s), a), scale) for a in sorted(policy.actions)]
-    return np.array([[predict(net, x) for x in inputs] for net in policy.nets or ()], dtype=float)
+    nets = [tuple([part.astype(float) for part in net]) for net in policy.nets or ()]
+    return np.array([[forward(net, x) for x in inputs] for net in nets])
 
 
 def course_angle(scenario: Scenario, doe: Any) -> Any:
