@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import chain
@@ -22,7 +22,7 @@ from steerkit.learning.costs import Cost, Costs
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import process_of
 from steerkit.learning.nfq.model import CarModel, Imagined, earlier_doe, imagine, near_path
-from steerkit.learning.nfq.rprop import Net, engine_of, fit, new_net, predict, sizes_of
+from steerkit.learning.nfq.rprop import Net, engine_of, fit, new_net, predictor, sizes_of
 from steerkit.task import DT, RELEASE
 
 TRIALS = 40
@@ -54,6 +54,7 @@ def mirror_patterns(description: StateDescription, x: NDArray[np.float32]) -> ND
 
 
 Nets = tuple[Net, ...]
+Predict = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,10 +181,21 @@ def goal_patterns(problem: Problem, rng: np.random.Generator) -> NDArray[np.floa
 
 def action_values(problem: Problem, nets: Sequence[Net], s: NDArray[np.float64]) -> NDArray[np.float32]:
     """q(s, a) of every action for the states s (n, columns), as (actions, n)."""
-    x = np.tile(problem.patterns(s, np.zeros(len(s))), (len(problem.actions), 1))
-    x[:, ACTION] = np.repeat(np.array(problem.actions) / problem.scale, len(s))
-    q = combined(np.array([predict(net, x) for net in nets]), problem.fit.combine)
-    return q.reshape(len(problem.actions), len(s))
+    x = _with_each_action(problem, s)
+    return _values(problem, [predictor(net, x.shape[-1]) for net in nets], x)
+
+
+def _with_each_action(problem: Problem, s: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Net inputs (actions, n, columns + 1)."""
+    x = np.tile(problem.patterns(s, np.zeros(len(s))), (len(problem.actions), 1, 1))
+    x[:, :, ACTION] = (np.array(problem.actions) / problem.scale)[:, None]
+    return x
+
+
+def _values(problem: Problem, members: Sequence[Predict], x: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What the members of an ensemble say together of net inputs (..., columns + 1)."""
+    rows = x.reshape(-1, x.shape[-1])
+    return combined(np.array([member(rows) for member in members]), problem.fit.combine).reshape(x.shape[:-1])
 
 
 def targets(problem: Problem, transitions: Transitions, nets: Sequence[Net] = ()) -> NDArray[np.float32]:
@@ -296,11 +308,11 @@ def trial_costs(
     s[:, E] = 0.0
     s[::FAR, E] = 2.0 * RELEASE * rng.uniform(-1.0, 1.0, len(s[::FAR]))
     s, earlier, place = np.tile(s, (len(members), 1)), np.tile(earlier, len(members)), np.tile(place, len(members))
+    drivers = [[predictor(net, problem.sizes[0]) for net in nets] for nets in members]
     total, drives = np.zeros(len(s)), np.ones(len(s), dtype=bool)
     for _ in range(TRIAL):
-        each = [
-            action_values(problem, nets, part) for nets, part in zip(members, np.split(s, len(members)), strict=True)
-        ]
+        parts = np.split(_with_each_action(problem, s), len(members), axis=1)
+        each = [_values(problem, those, part) for those, part in zip(drivers, parts, strict=True)]
         a = policy.least(list(np.concatenate(each, axis=1)[order]))[0] / problem.description.excess(s[:, V]) ** 2
         s_next = model.step(s, a, earlier) + unexplained[near[place]]
         place = (place + 1) % len(near)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -148,14 +148,24 @@ def fit(
     return Fit(trained, errors)
 
 
+def predictor(net: Net, n_in: int, *, engine: Engine = "auto") -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
+    """What `predict` is for one net, a function of x (n, n_in), where it is asked often: checked and laid out once."""
+    check_net(net, n_in, "rprop.predict")
+    if engine_of(engine) == "torch":
+        return lambda x: forward(net, np.asarray(x, dtype=np.float32)).astype(np.float32, copy=False)
+    weights = flat(net)
+
+    def predicted(x: NDArray[np.float32]) -> NDArray[np.float32]:
+        q = np.empty(len(x), dtype=np.float32)
+        _call("steerkit_predict", net, weights, x, q)
+        return q
+
+    return predicted
+
+
 def predict(net: Net, x: NDArray[np.float32], *, engine: Engine = "auto") -> NDArray[np.float32]:
     """The net's outputs (n,) for x (n, n_in); NumPy stands in where there is no C."""
-    check_net(net, x.shape[1] if x.ndim == 2 else -1, "rprop.predict")
-    if engine_of(engine) == "torch":
-        return forward(net, np.asarray(x, dtype=np.float32)).astype(np.float32, copy=False)
-    q = np.empty(len(x), dtype=np.float32)
-    _call("steerkit_predict", net, flat(net), x, q)
-    return q
+    return predictor(net, x.shape[1] if x.ndim == 2 else -1, engine=engine)(x)
 
 
 def _torch_fit(
