@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
+from typing import Any
 
 from steerkit._support.plugins import fingerprint, is_outside
 from steerkit.diagram.block import Block
@@ -93,29 +94,19 @@ def _agent(name: str, about: str) -> Controller:
     return Controller(name=name, kind="peer", about=about, setting=name, training="agent", needs="stable_baselines3")
 
 
+_TOLD: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    (ORACLE, "given the true parameters of car and steering", {"oracle": True}),
+    (WRONG, f"told {TOO_LONG:g} times the true dead time", {"wrong": TOO_LONG}),
+)
+"""Suffixes, and what such a controller knows."""
 _TABLE = (
     *(
         Controller(name=name, kind="analytic", about=recipe.about, make=_catalogued(name))
         for name, recipe in catalogue.CONTROLLERS.items()
     ),
     *(
-        Controller(
-            name=f"{name}{ORACLE}",
-            kind="analytic",
-            about=f"{name}, given the true parameters of car and steering",
-            make=_catalogued(name),
-            oracle=True,
-        )
-        for name in TELLABLE
-    ),
-    *(
-        Controller(
-            name=f"{name}{WRONG}",
-            kind="analytic",
-            about=f"{name}, told {TOO_LONG:g} times the true dead time",
-            make=_catalogued(name),
-            wrong=TOO_LONG,
-        )
+        Controller(name=f"{name}{suffix}", kind="analytic", about=f"{name}, {knows}", make=_catalogued(name), **told)
+        for suffix, knows, told in _TOLD
         for name in TELLABLE
     ),
     _learned("nfq-idoe", "NFQ, integrating output element, our best setting"),

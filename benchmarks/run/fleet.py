@@ -10,6 +10,7 @@ RMS e.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -147,10 +148,10 @@ def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
     final = judged(nets[-1]) if nets else None
     summary = final.summary if final else None
     nan = float("nan")
-    best, truth = _best(scenario.with_(knowledge={"oracle": True}), ORACLE, test)
+    best, truth = best_of(scenario.with_(knowledge={"oracle": True}), ORACLE, test)
     by_torque = scenario.steering.command == "torque"  # whose dead time and slew its makers know
     on_paper = scenario if by_torque else scenario.with_(knowledge={"delay": 0.0, "lag": 0.0})
-    on_sheet, sheet = _best(on_paper, ORACLE if by_torque else TOLD_DATA_SHEET, test)
+    on_sheet, sheet = best_of(on_paper, ORACLE if by_torque else TOLD_DATA_SHEET, test)
     forecast = nets[-1].policy.forecast if nets else None
     mine = (summary.rms_e, summary.rms_wheel_rate_deg, summary.rms_jerk) if summary else (nan,) * 3
     return FleetOutcome(
@@ -190,10 +191,10 @@ def first_good(nets: list[Taken], judged: Callable[[Taken], TrialDrive]) -> floa
     return None
 
 
-def _best(scenario: Scenario, names: Iterable[str], seed: int) -> tuple[str, Summary]:
-    """The controller of the least RMS e on a whole test drive, and its metrics."""
+def best_of(scenario: Scenario, names: Iterable[str], seed: int) -> tuple[str, Summary]:
+    """The controller of the least RMS e on a whole test drive, and its metrics; one that was lost only if all were."""
     rows = [(name, of_log(drive.drive(scenario, drive.controller(name, scenario), seed=seed))) for name in names]
-    return min(rows, key=lambda row: row[1].rms_e)
+    return min(rows, key=lambda row: row[1].rms_e if math.isfinite(row[1].rms_e) else math.inf)
 
 
 def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.foreign_cars import scene
-from benchmarks.run.fleet import first_good
+from benchmarks.run.fleet import best_of, first_good
 from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
@@ -120,9 +120,7 @@ def one_learner(job: Job) -> Learned:
 
 def best_told(scenario: Scenario, names: tuple[str, ...], seed: int) -> tuple[str, Summary]:
     """The analytic controller of the least RMS e in the scenario, given the truth, and its metrics."""
-    truth = scenario.with_(knowledge={"oracle": True, "delay": None, "lag": None})
-    rows = [(name, of_log(drive.drive(truth, drive.controller(name, truth), seed=seed))) for name in names]
-    return min(rows, key=lambda row: row[1].rms_e if math.isfinite(row[1].rms_e) else math.inf)
+    return best_of(scenario.with_(knowledge={"oracle": True, "delay": None, "lag": None}), names, seed)
 
 
 def wheel_rate(scenario: Scenario, net: Taken, seed: int) -> float:

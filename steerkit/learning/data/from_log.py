@@ -18,6 +18,7 @@ from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
 from steerkit.doe import OutputElement
+from steerkit.learning.data import distance
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.learner_state import TURNED
 from steerkit.learning.nfq.dead_time import aligned, dead_time_of
@@ -134,15 +135,7 @@ def as_driven(drive: Recorded, vehicle: Vehicle, *, delay: float = 0.0, lag: flo
     return Log(t, signals, {})
 
 
-SIGNALS = {
-    "e": "path.e",
-    "e_dot": "path.e_dot",
-    "v": "car.v",
-    "psi_e": "path.psi_e",
-    "r_e": "path.r_e",
-    "doe": "doe.state",
-    "kappa": "path.kappa",
-}
+SIGNALS = distance.SIGNALS | {"kappa": "path.kappa"}
 """Recorded column -> signal of a drive's log."""
 
 
