@@ -443,7 +443,7 @@ def _check_plausible(drive: Drive) -> None:
     likely = f"; perhaps {'; or '.join(fits)}" if fits else ""
     raise ValueError(
         f"{drive.name}: delta_sw/curvature is {slope:.4g} m, a road car has {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} m "
-        f"(steering ratio times wheelbase){likely}. To go on as it is: --trust-units"
+        f"(steering ratio times wheelbase){likely}. To go on as it is: trusted=True (identify: --trust-units)"
     )
 
 
