@@ -16,6 +16,9 @@ from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.task import STOP
 
+_EVERY = 5.0
+"""Samples after which the estimate of the dead time is read again: its fits take longer than all the rest."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Adaptive(Block):
@@ -37,8 +40,10 @@ class Adaptive(Block):
 
     Ports and sample time are those of `blocks`, the inputs v and r among them; the preview is the longest. With
     `takes_turns` there is one input more, doe [rad]: the angle commanded a sample before, by whichever controller
-    steered. State: those of `blocks`, of `delay` and `steering`, then whether it was on standby [1], d [s] and g [1].
-    In a drive of one car only the two controllers that are mixed are evaluated. Samples with NaN in v, r or doe update
+    steered. State: those of `blocks`, of `delay` and `steering`, then dead time and lag as last read from `delay`,
+    their deviation [s], whether they were valid, samples since then and whether it was on standby [1], d [s] and g [1].
+    In a drive of one car only the two controllers that are mixed are evaluated, and `delay`, which takes its time, is
+    read every fifth sample. Samples with NaN in v, r or doe update
     no estimate, nor do samples on standby: see `on_standby`. Raises ValueError for parameters out of range, and for
     controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty
     equivalence: estimates are used as if they were true).
@@ -108,7 +113,8 @@ class Adaptive(Block):
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         inner = [value for block in (*self.blocks, self.delay, self.steering) for value in block.init(batch)]
-        return (*inner, *[m.filled(value, batch) for value in (0.0, self.prior_delay, 1.0)])
+        own = (0.0, 0.0, 0.0, _EVERY, 0.0, self.prior_delay, 1.0)
+        return (*inner, *[m.filled(value, batch) for value in own])
 
     def believed(self, x: State) -> tuple[Scalar, Scalar]:
         """Dead time [s] and steering ratio over the data sheet's [1] that it believes in state `x`."""
@@ -123,6 +129,15 @@ class Adaptive(Block):
         first = self._parts[len(self.blocks)][1]
         kept = x[first:] if all(map(math.isfinite, x[first:])) else settled[first:]
         return (*settled[:first], *kept[:-3], 1.0, *kept[-2:])
+
+    def _read(self, t: Any, x: State, state: State) -> tuple[State, Scalar]:
+        """Dead time and lag, their deviation and whether they are valid, read anew where that is due; samples since."""
+        due = x[-4] >= _EVERY
+        if due is False:
+            return x[-7:-4], x[-4] + 1.0
+        found = self.delay.output(t, state, ())
+        new = found.delay_lag, found.delay_lag_deviation, found.delay_lag_valid
+        return tuple([m.where(due, now, old) for now, old in zip(new, x[-7:-4])]), m.where(due, 1.0, x[-4] + 1.0)
 
     def settle(self, t: float, x: State, u: Any) -> State:
         states = self._states(x)
@@ -155,25 +170,27 @@ class Adaptive(Block):
             block.update(t, state, self._seen(block, block.U, u, ratio), own)
             for block, state in zip(self.blocks, states)
         ]
-        found, known = self.delay.output(t, states[-2], ()), self.steering.output(t, states[-1], ())
+        found, since = self._read(t, x, states[-2])
+        both, deviation, valid = found
+        known = self.steering.output(t, states[-1], ())
         sent = u.doe if self.takes_turns else y.delta_sw
-        after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - standby, u.r, u.v), found))
+        after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - standby, u.r, u.v), ()))
         car = self.steering.vehicle
         n = ratio * car.steer_ratio
         steep = m.tan(sent / n)
         lever = car.l_r / car.wheelbase * steep  # tan(beta): v is that of the centre of gravity
         bent = n * steep / m.sqrt(1.0 + lever * lever)
-        dead, late = found.delay_lag - self.lag, self.dt if self.takes_turns else 0.0
+        dead, late = both - self.lag, self.dt if self.takes_turns else 0.0
         step = m.absolute(bent - states[-1][0])  # the filter's state begins with the angle of a sample before
         followed = m.where(m.both(step <= self.delay.rate_limit * self.dt, standby < 0.5), 1.0, 0.0)
-        watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, found.delay_lag_deviation, followed)
+        watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, deviation, followed)
         after.append(self.steering.update(t, states[-1], watched, known))
         bounds = self.delays[0], self.delays[-1]
         believed = (
-            self._followed(delay, dead + late, found.delay_lag_valid, self.delay_rate, bounds),
+            self._followed(delay, dead + late, valid, self.delay_rate, bounds),
             self._followed(ratio, known.ratio, known.ratio_valid, self.ratio_rate, (self.ratio_least, self.ratio_most)),
         )
-        return (*[value for state in after for value in state], 0.0 * standby, *believed)
+        return (*[value for state in after for value in state], *found, since, 0.0 * standby, *believed)
 
     def _followed(
         self, before: Scalar, value: Scalar, valid: Scalar, rate: float, bounds: tuple[float, float]

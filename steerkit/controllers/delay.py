@@ -123,7 +123,8 @@ class DelayPredictor(Block):
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         make, n = self._inner
-        inner = self.block.update(t, make(x[:n]), self._ahead(self.block.U, x, u), self.block.Y(y.delta_sw))
+        seen = self._ahead(self.block.U, x, u) if self.block.update_reads_inputs else None
+        inner = self.block.update(t, make(x[:n]), seen, self.block.Y(y.delta_sw))
         sent = m.where(m.is_finite(y.delta_sw), y.delta_sw, u.delta_sw_meas)
         commands, v = (*x[n + self._kept :], sent), m.maximum(u.v, 0.0)
         if self.model.slew is None:

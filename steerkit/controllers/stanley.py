@@ -19,7 +19,7 @@ _NO_LIMIT = 1e3
 
 
 class StanleyState(NamedTuple):
-    """The road-wheel angle measured one sample before and the command given then [rad]."""
+    """The road-wheel angle measured one sample before (kept with a k_d_steer only) and the command of then [rad]."""
 
     delta_before: Any
     command: Any
@@ -111,5 +111,10 @@ class Stanley(LimitedLaw):
         delta = delta - (1.0 - self.share) * (delta - steady)
         return self.Y(limited(self, self.steer_ratio * delta, x.command, v, v * m.absolute(r_path)))
 
+    @property
+    def update_reads_inputs(self) -> bool:
+        return not (isinstance(self.k_d_steer, float) and self.k_d_steer == 0.0)
+
     def update(self, t: Any, x: StanleyState, u: Any, y: Any) -> StanleyState:
-        return StanleyState(u.delta_sw_meas / self.steer_ratio, y.delta_sw)
+        before = u.delta_sw_meas / self.steer_ratio if self.update_reads_inputs else x.delta_before
+        return StanleyState(before, y.delta_sw)

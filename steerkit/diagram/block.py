@@ -173,6 +173,11 @@ class Block:
         """The state one sample time after t."""
         return x
 
+    @property
+    def update_reads_inputs(self) -> bool:
+        """Whether `update` reads any input: a wrapper that has to predict them need not where it does not."""
+        return True
+
     def __repr__(self) -> str:
         """Its parameters in a line or two, however many numbers they hold."""
         values = (
