@@ -198,6 +198,8 @@ class Bank(Block):
 
         rows: the regressors of each candidate. measured: response [rad] and weight [1/rad^2].
         """
+        if used is False:  # one car
+            return sums, list(moments)
         response, weight = measured
         share = self.dt / self.correlated  # of an independent sample
         keep = m.where(used, math.exp(-self.dt / self.memory), 1.0)

@@ -257,6 +257,8 @@ def _corrected(
 
     And its squared error over that of 3 deviations.
     """
+    if applies is False:  # one car: nothing is computed that changes nothing
+        return numbers, p, 0.0
     share = [sum([entry * slope for entry, slope in zip(kalman.line(p, i), slopes)]) for i in range(_N)]
     of_model = sum([slope * value for slope, value in zip(slopes, share)])
     off = error * error / (_OUTLIER * _OUTLIER * (of_model + variance))
