@@ -12,6 +12,7 @@ from steerkit.learning.learn import from_log, learn, offline
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import DEFAULT, MODEL_FREE
+from steerkit.scenario.scenario import Scenario
 from tests.support.modelled_car import driven
 from tests.unit.learning.data.test_from_log import T, slalom, steered
 
@@ -36,7 +37,8 @@ def test_offline_updates_start_from_the_nets_before() -> None:
 
 
 def test_a_log_makes_a_run_that_can_be_shown_and_goes_on(tmp_path: Path) -> None:
-    experiment, place = Experiment(setting=QUICK, seed=3), tmp_path / "run"
+    experiment = Experiment(setting=QUICK, scenario=Scenario(course="circle"), seed=3)
+    place = tmp_path / "run"
     numbers: list[int] = []
     run = from_log(steered(slalom(T[:1200])), experiment, place, updates=2, watch=numbers.append)
     again = from_log(steered(slalom(T[:1200])), experiment, updates=2)
