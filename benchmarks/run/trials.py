@@ -16,7 +16,7 @@ from steerkit.controllers.nfq_policy import Kind, NfqPolicy
 from steerkit.diagram.simulation import Log
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.settings import Setting
-from steerkit.metrics import GOOD, Summary, of_log
+from steerkit.metrics import GOOD, Criterion, Summary, of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.task import TRIP
@@ -76,11 +76,13 @@ class TrialDrive:
     """Did it keep the wheel, with |e| <= 0.5 m, for all the rounds asked for?"""
     summary: Summary | None
     """Metrics of the part it drove; None if that was less than a second."""
+    criterion: Criterion = GOOD
+    """What a good driver keeps to."""
 
     @property
     def good(self) -> bool:
-        """Did it hold its one round, and meet the bounds of a good driver (`steerkit.metrics.GOOD`)?"""
-        return self.held and self.summary is not None and GOOD.met(self.summary)
+        """Did it hold its one round, and meet the bounds of a good driver?"""
+        return self.held and self.summary is not None and self.criterion.met(self.summary)
 
 
 def drive_each(scenario: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:

@@ -29,9 +29,9 @@ KEYS = {
     "car_kill": "controller kills server trainer",
     "car_realtime": "frames_replayed_exactly jitter_p99_ms misses recording_mb rms_e_m steps",
     "foreign": (
-        "adaptive_spread changes_recovered_s drives good_median_s good_share good_worst_s recovery_back_share "
-        "recovery_lost recovery_max_e recovery_stays_share recovery_swing_worst recovery_swings rms_x_best_told rows "
-        "wheel_spread_nets wheel_x_best_told"
+        "adaptive_spread best_good_share changes_recovered_s drives good_median_s good_share good_worst_s "
+        "recovery_back_share recovery_lost recovery_max_e recovery_stays_share recovery_swing_worst "
+        "recovery_swings rms_x_best_told rows wheel_spread_nets wheel_x_best_told"
     ),
     "from_logs": "good logs refused share",
     "gym_steps": "conditions steps_per_cpu_second vector_steps_per_second x_sync_vector_env",

@@ -84,16 +84,17 @@ def test_a_drive_that_ends_early_is_lost() -> None:
 
 
 def test_what_a_learner_on_a_foreign_car_never_did_counts_as_worst() -> None:
-    common = dict(v_min=8.0, v_max=12.0, failures=1, departure=2.0, stuck=0, held=True, code="a")
+    common = dict(v_min=8.0, v_max=12.0, failures=1, departure=2.0, stuck=0, held=True, best_good=False, code="a")
     fields = dict(rms_x=0.7, rms_x_1=0.9, wheel_x=1.0, wheel_spread=1.2)
     runs: list[Any] = [
         {"car": "torque", "good": 20.0, **common, **fields},
         {"car": "torque", "good": 40.0, **common, **fields, "rms_x": 0.9},
         {"car": "torque", "good": None, **common, **fields, "rms_x": math.inf, "wheel_spread": math.nan},
-        {"car": "mujoco", "good": 10.0, **common, **fields, "rms_x": 0.8},
+        {"car": "mujoco", "good": 10.0, **common, **fields, "rms_x": 0.8, "best_good": True},
     ]
     f = foreign.learner_figures(runs)
     assert (f["good_share"], f["good_median_s"], f["good_worst_s"]) == (0.75, 30.0, math.inf)
+    assert f["best_good_share"] == 0.25
     assert (f["rms_x_best_told"], f["rms_x_best_told_torque"], f["rms_x_best_told_others"]) == (0.9, 0.9, 0.8)
     assert (f["rms_x_best_told_worst"], f["wheel_spread_nets"], f["wheel_spread_nets_worst"]) == (
         math.inf,
