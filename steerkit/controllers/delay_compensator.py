@@ -19,6 +19,10 @@ SLOWEST = 1.0
 """Speed below which a car counts as this fast [m/s]: the formulas divide by v."""
 ANSWER = ("now", "before", "earlier", "back", "slip", "yaw", "loss", "nose", "tail", "fast")
 """The learned numbers by which a car answers its steering wheel: see `moved`."""
+FELT = ("lead", "fade", "most", "slew")
+"""The learned numbers by which its steering overshoots and is slow: see `felt`."""
+UNLIMITED = 1e6
+"""Of `most` and `slew`: none [rad m^2/s^2]."""
 LENGTH = 2.7
 """Of a fast car's w = LENGTH*r/v [m]: about a wheelbase, so that w is about an angle of the road wheels."""
 _REMEMBERED = LONGEST + 2
@@ -65,14 +69,31 @@ def moved(car: Any, x: CourseMotion, v: Any, doe: Sequence[Any], bend: Any = 0.0
     return CourseMotion(x.e + 0.5 * dt * v * (x.c + c), c, x.psi_e + turn + (course - p), r_e)
 
 
+def felt(car: Any, doe: Any, slow: Any, before: Any, v: Any) -> tuple[Any, Any]:
+    """The wheel's angle as the car feels it, and the slow part's next value; for floats, arrays and symbols.
+
+        u = sat(doe + sat(lead*(doe - slow), +-most/v^2), before +- slew/v^2),   slow' = slow + fade*(doe - slow)
+
+    of a car whose steering overshoots what is asked of it, and comes back, and which turns no faster than its slew
+    lets it (one steered by torque). before: u of the sample before. The other cars' u is doe.
+    """
+    square, off = v * v, doe - slow
+    most, slew = car.most / square, car.slew / square
+    u = m.clip(doe + m.clip(car.lead * off, -most, most), before - slew, before + slew)
+    slow = slow + car.fade * off
+    known = m.is_finite(u + slow)  # else one NaN would stay for good
+    return m.where(known, u, doe), m.where(known, slow, doe)
+
+
 @dataclass(frozen=True, kw_only=True)
 class DelayCompensator:
     """A car's dead time and its answer to the wheel, learned; predicts the motion at which the next command acts.
 
     The measured state s(k) is what the angles until `samples` samples before have made of the car. The angles on
     their way since then are known, the bends ahead too: `moved`, once for each, gives the car's motion at the moment
-    from which the next angle acts. A policy that gets that motion drives a car without dead time. The measured w
-    and r_e are filtered first, as sensors are noisy: trust*measured + (1 - trust)*predicted a sample before.
+    from which the next angle acts. A policy that gets that motion drives a car without dead time. Angles are those that
+    the car feels (`felt`). The measured w and r_e are filtered first, as sensors are noisy: trust*measured +
+    (1 - trust)*predicted a sample before.
 
     Every number may be a symbol. Raises ValueError unless 0 <= samples <= LONGEST and 0 < trust <= 1.
     Source: Walsh, Nouri, Li, Littman 2009 (learning with constant delay by simulating the model over it); Smith 1957.
@@ -94,7 +115,15 @@ class DelayCompensator:
     nose: Any = 1.0
     tail: Any = 0.0
     fast: Any = 0.0
-    """More numbers of `moved`; they stand last as older files do not have them."""
+    """More numbers of `moved`."""
+    lead: Any = 0.0
+    """By how much the steering overshoots a change, as a share of it [1]."""
+    fade: Any = 0.0
+    """Share of that which is gone a sample later [1]."""
+    most: Any = UNLIMITED
+    """Largest overshoot, times v^2 [rad m^2/s^2]."""
+    slew: Any = UNLIMITED
+    """Largest change in a sample, times v^2 [rad m^2/s^2]."""
     dt: float = DT
     """Sample time [s]."""
 
@@ -129,18 +158,19 @@ class DelayCompensator:
         return e, v * c, u.v, psi_e, r_e, u.doe - self.straight
 
     def remember(self, x: State, u: Any) -> State:
-        """The state of the next sample: angles of the last samples, oldest first, and what the filter needs.
+        """The state of the next sample: angles of the last samples, oldest first, and what `felt` and the filter need.
 
         u: e, e_dot, v, psi_e, r_e, doe as measured, and preview [1/m], PREVIEW curvatures at s + j*v*dt.
         """
         v = m.maximum(u.v, SLOWEST)
-        return (*x[1:_REMEMBERED], u.doe, *self._filtered(x, u, v), v, u.preview[0])
+        return (*x[1:_REMEMBERED], *self._felt(x, u), *self._filtered(x, u, v), v, u.preview[0])
 
     def at_first(self, u: Any) -> State:
         """The state at a first sample, in which the wheel is taken to have stood still; u: see `remember`."""
         v = m.maximum(u.v, SLOWEST)
         kappa = u.preview[0]
-        return (*(u.doe,) * _REMEMBERED, turning(self, u.e_dot / v, u.psi_e, v, u.r_e + v * kappa), u.r_e, v, kappa)
+        w = turning(self, u.e_dot / v, u.psi_e, v, u.r_e + v * kappa)
+        return (*(u.doe,) * (_REMEMBERED + 1), w, u.r_e, v, kappa)
 
     def _filtered(self, x: State, u: Any, v: Any) -> tuple[Any, Any]:
         """w and r_e, filtered."""
@@ -153,9 +183,13 @@ class DelayCompensator:
         filtered = w_next + self.trust * (seen - w_next), foreseen.r_e + self.trust * (u.r_e - foreseen.r_e)
         return m.where(known, filtered[0], seen), m.where(known, filtered[1], u.r_e)
 
+    def _felt(self, x: State, u: Any) -> tuple[Any, Any]:
+        """The angle that the car feels, and the slow part's next value."""
+        return felt(self, u.doe, x[_REMEMBERED], x[_REMEMBERED - 1], m.maximum(u.v, SLOWEST))
+
     def _angles(self, x: State, u: Any) -> Sequence[Any]:
         """The wheel's angles on their way, oldest first: of them 1, 2, 3 act until the next sample, 2, 3, 4 then."""
-        angles = (*x[:_REMEMBERED], u.doe)
+        angles = (*x[:_REMEMBERED], self._felt(x, u)[0])
         if not m.is_symbol(self.samples):
             return [angle - self.straight for angle in angles[LONGEST - self.samples :]]
         shown = list(angles[LONGEST:])
@@ -167,4 +201,4 @@ class DelayCompensator:
 
 def nothing(batch: tuple[int, ...] = ()) -> State:
     """The state before the first sample."""
-    return (m.filled(0.0, batch),) * (_REMEMBERED + 4)
+    return (m.filled(0.0, batch),) * (_REMEMBERED + 5)

@@ -341,12 +341,17 @@ def _forecast_in(f: Any) -> DelayCompensator | None:
     """The forecast of a policy's file, if it holds one."""
     if "dead_samples" not in f:
         return None
-    numbers = f["forecast"].tolist()
-    found = DelayCompensator(samples=int(f["dead_samples"]), dt=float(f["dt"])).with_numbers(numbers)
+    numbers, found = f["forecast"].tolist(), DelayCompensator(samples=int(f["dead_samples"]), dt=float(f["dt"]))
+    count = len(found.numbers)
+    require(len(numbers) == count, "forecast", f"{len(numbers)} numbers, expected {count}; learn anew")
+    found = found.with_numbers(numbers)
     for name in (*ahead.ANSWER, "straight"):  # some 0.01, 0.2 and 0.4; others would steer straight on in silence
         require(
             abs(getattr(found, name)) <= 10.0, "forecast", f"{name} = {getattr(found, name):g}, expected within +-10"
         )
+    for name, low, high in (("lead", -1.0, 10.0), ("fade", 0.0, 1.0), ("most", 0.0, math.inf), ("slew", 0.0, math.inf)):
+        value = getattr(found, name)
+        require(low <= value <= high, "forecast", f"{name} = {value:g}, expected {low:g} to {high:g}")
     return found
 
 

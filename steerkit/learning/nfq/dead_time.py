@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit.controllers.delay_compensator import ANSWER, LONGEST, DelayCompensator
+from steerkit.controllers.delay_compensator import ANSWER, FELT, LONGEST, UNLIMITED, DelayCompensator
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
@@ -20,6 +21,7 @@ from steerkit.learning.nfq.model import (
     MOST_LOST,
     OFF_CENTRE,
     CarModel,
+    angles_felt,
     course_share,
     follow,
     speed,
@@ -59,6 +61,20 @@ TRUST = 0.25
 """Share of what is seen in the filtered values (see `DelayCompensator.trust`)."""
 
 
+LEADS = (0.3, 0.6, 1.2, 2.4)
+"""Overshoots that a fast car's steering may show [1] ..."""
+MOSTS = (3.0, 6.0, 12.0)
+"""... their largest amounts [rad m^2/s^2]: by torque, about 0.15, 0.3 and 0.6 m/s^2 ..."""
+FADES = (0.035, 0.07, 0.14)
+"""... how fast they go [1]: in 1.4, 0.7 and 0.35 s ..."""
+SLEWS = (2.0, 2.8, 4.0, 5.0, 6.3, 8.0, 12.0)
+"""... and how far it turns in a sample [rad m^2/s^2]: by torque, 5 m/s^3 are about 6."""
+LOOKED_AT = 1500
+"""Newest samples in which they are looked for."""
+BETTER = 0.95
+"""They are believed where w is foreseen by that factor better with them."""
+
+
 Array = NDArray[np.float64]
 
 
@@ -88,7 +104,9 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
         model = refined(CarModel.fit(part, description, dt, fast=fast), part)
     else:
         best, part, model = _of_others(record, description, most, dt, fast)
-    numbers = {name: getattr(model, name) for name in (*ANSWER, "straight")}
+    if fast:
+        model = overshooting(model, part, description, dt)
+    numbers = {name: getattr(model, name) for name in (*ANSWER, *FELT, "straight")}
     forecast = DelayCompensator(samples=best, trust=TRUST, dt=dt, **numbers)
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
@@ -255,6 +273,62 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     other = replace(model, **answer, straight=straight)
     right = (other.ratio(np.array([v.min(), v.max()])) > 0.0).all() and 0.0 < other.yaw < 4.0 * abs(model.yaw)
     return other if right else model
+
+
+def overshooting(model: CarModel, part: Transitions, description: StateDescription, dt: float = DT) -> CarModel:
+    """The model with the overshoot and the slew that foresee w best; itself, where they are not BETTER.
+
+    Slew and overshoot are looked for together among a few values, then the overshoot's time. Each is judged by what
+    least squares leave unexplained of v^2 w over AHEAD samples, on what its car feels of the wheel:
+
+        v^2 w(k + AHEAD) = keep v^2 w(k) + sum_i gains_i v^2 u(k - 1 + i) + stiff v^4 sum_i u(k + i) + constant
+    """
+    row = _foreseeable(part)
+    if len(row) < 4 * REFINED:
+        return model
+    row = row[-LOOKED_AT:]
+    first = max(0, int(row[0]) - 1)
+    newest = part.part(slice(first, None))
+    found = dict(lead=0.0, fade=FADES[1], most=UNLIMITED, slew=UNLIMITED)
+    overshoots = [dict(lead=0.0), *(dict(lead=lead, most=most) for lead in LEADS for most in MOSTS)]
+    both = [one | dict(slew=slew) for slew in (UNLIMITED, *SLEWS) for one in overshoots]
+    for changes in (both, [dict(fade=fade) for fade in FADES]):
+        cars = [found | change for change in changes]
+        found = cars[int(_left_by(cars, newest, row - first).argmin())]
+    if found["lead"] == 0.0 and found["slew"] == UNLIMITED:
+        return model
+    other = replace(model, **found)
+    angles = felt_record(other, part)
+    fitted = refined(CarModel.fit(angles, description, dt, fast=True), angles)
+    if not strays_of(fitted, angles) < BETTER * strays_of(model, part):
+        return model
+    return replace(fitted, held=model.held, pushed=model.pushed, **found)
+
+
+def _left_by(cars: Sequence[dict[str, float]], part: Transitions, row: NDArray[np.intp]) -> Array:
+    """What each car's angles leave unexplained of v^2 w over AHEAD samples after each row (n,), RMS (cars,)."""
+    v, car = speed(part.s), SimpleNamespace(**{name: np.array([one[name] for one in cars]) for name in FELT})
+    w = v * v * (part.s[:, E_DOT] / v - part.s[:, PSI_E])
+    left, y = [], w[row + AHEAD]
+    for u in angles_felt(car, part)[0].T:
+        angles = [v[row + j] ** 2 * u[row + j] for j in range(-1, AHEAD + 1)]
+        stiff = v[row] ** 2 * np.add.reduce(angles)
+        x = np.column_stack((w[row], *angles, stiff, np.ones(len(row))))
+        weights = np.linalg.solve(x.T @ x + 1e-6 * np.eye(x.shape[1]), x.T @ y)
+        left.append(float(np.sqrt(np.mean((x @ weights - y) ** 2))))
+    return np.array(left)
+
+
+def felt_record(car: CarModel, part: Transitions) -> Transitions:
+    """The record with the angles that a car feels in place of the wheel's."""
+    angles = car.felt(part)
+    if angles is None:
+        return part
+    s, s_next = part.s.copy(), part.s_next.copy()
+    s[:, DOE], s_next[:, DOE] = angles.now, car.after(part.s, part.s_next[:, DOE], angles).now
+    felt = Transitions(part.names)
+    felt.extend(s, part.a, s_next, part.episode, part.own)
+    return felt
 
 
 def strays_of(model: CarModel, part: Transitions) -> float:

@@ -231,12 +231,13 @@ def imagined_targets(
     """
     order = np.argsort(np.abs(problem.actions), kind="stable")  # of equal values the gentlest, as the policy does
     choices, description = np.array(problem.actions)[order], problem.description
-    s, earlier = states.s, states.earlier
+    s, earlier, felt = states.s, states.earlier, states.felt
     total, weight, least = np.zeros(len(s)), np.ones(len(s)), np.zeros(len(s))
     for step in range(problem.fit.horizon if nets else 1):
-        s_next = model.step(s, a, earlier)
+        s_next = model.step(s, a, earlier, felt)
         if step == 0:
             s_next += states.residual
+        felt = felt and model.after(s, s_next[:, DOE], felt)
         c, terminal = problem.costs(s, a, s_next)
         total += weight * c
         weight = weight * problem.fit.discount * ~terminal
@@ -300,21 +301,23 @@ def trial_costs(
     """
     policy = NfqPolicy(actions=tuple(problem.actions), continuous=problem.continuous)
     order = np.argsort(np.abs(problem.actions), kind="stable")
-    before = earlier_doe(record)
-    unexplained = record.s_next - model.step(record.s, record.a, before)
+    before, felt = earlier_doe(record), model.felt(record)
+    unexplained = record.s_next - model.step(record.s, record.a, before, felt)
     near = near_path(record)
     place = rng.integers(len(near), size=TRIALS)
     s, earlier = record.s[near[place]].copy(), before[near[place]]
     s[:, E] = 0.0
     s[::FAR, E] = 2.0 * RELEASE * rng.uniform(-1.0, 1.0, len(s[::FAR]))
     s, earlier, place = np.tile(s, (len(members), 1)), np.tile(earlier, len(members)), np.tile(place, len(members))
+    felt = felt and felt.part(near[place])
     drivers = [[predictor(net, problem.sizes[0]) for net in nets] for nets in members]
     total, drives = np.zeros(len(s)), np.ones(len(s), dtype=bool)
     for _ in range(TRIAL):
         parts = np.split(_with_each_action(problem, s), len(members), axis=1)
         each = [_values(problem, those, part) for those, part in zip(drivers, parts, strict=True)]
         a = policy.least(list(np.concatenate(each, axis=1)[order]))[0] / problem.description.excess(s[:, V]) ** 2
-        s_next = model.step(s, a, earlier) + unexplained[near[place]]
+        s_next = model.step(s, a, earlier, felt) + unexplained[near[place]]
+        felt = felt and model.after(s, s_next[:, DOE], felt)
         place = (place + 1) % len(near)
         s_next[:, V] = record.s[near[place], V]
         c, failed = problem.costs(s, a, s_next)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.controllers.delay_compensator import ANSWER, LENGTH, SLOWEST, CourseMotion, moved
+from steerkit.controllers.delay_compensator import ANSWER, LENGTH, SLOWEST, UNLIMITED, CourseMotion, felt, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
@@ -34,6 +35,25 @@ OFF_CENTRE = 0.5
 """Largest offset of the wheel that is believed [rad]."""
 SPREAD = 0.13
 """How far imagined states lie from recorded ones, as a share of the description's half ranges."""
+
+
+class Felt(NamedTuple):
+    """The wheel's angle as a car feels it (`steerkit.controllers.delay_compensator.felt`), each (n,) [rad]."""
+
+    now: Array
+    """In the sample."""
+    before: Array
+    """In the one before."""
+    slow: Array
+    """What the next one's overshoot is counted from."""
+
+    def part(self, rows: Any, signs: Array | float = 1.0) -> Felt:
+        """Those of some rows, mirrored where a sign is -1."""
+        return Felt(*[angles[rows] * signs for angles in self])
+
+    def shifted(self, angle: Array) -> Felt:
+        """With the wheel turned by an angle (n,) [rad] all along."""
+        return Felt(*[angles + angle for angles in self])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +94,11 @@ class CarModel:
     """1 of a fast car, else 0."""
     straight: float = 0.0
     """Angle of the wheel at which the car goes straight on [rad]; states count doe from there."""
+    lead: float = 0.0
+    fade: float = 0.0
+    most: float = UNLIMITED
+    slew: float = UNLIMITED
+    """How the steering overshoots and how fast it is: see `felt`, where u takes doe's place in `moved`."""
     dt: float = DT
     """Sample time [s]."""
 
@@ -128,15 +153,39 @@ class CarModel:
             straight = float(np.clip(-constant / (now + before + earlier), -OFF_CENTRE, OFF_CENTRE))
         return cls(held=held, pushed=pushed, limit=limit, straight=straight, dt=dt, **answer)
 
-    def step(self, s: Array, a: Array, earlier: Array) -> Array:
-        """States (n, columns) one sample after s, under the actions a (n,), where doe was `earlier` (n,) before s."""
+    @property
+    def feels(self) -> bool:
+        """Does it feel another angle than the wheel's?"""
+        return self.lead != 0.0 or self.slew < UNLIMITED
+
+    def felt(self, record: Transitions) -> Felt | None:
+        """The angles that it felt in recorded states; None: the wheel's."""
+        if not self.feels:
+            return None
+        follows, (now, slow) = follow(record), angles_felt(self, record)
+        before = now.copy()
+        before[follows] = now[np.flatnonzero(follows) - 1]
+        return Felt(now, before, slow)
+
+    def step(self, s: Array, a: Array, earlier: Array, felt: Felt | None = None) -> Array:
+        """States (n, columns) one sample after s, under the actions a (n,), where doe was `earlier` (n,) before s.
+
+        felt: of a car that feels another angle than the wheel's; without it: of one whose wheel has stood still.
+        """
         e, e_dot, v, psi_e, r_e, doe = s.T
         course = e_dot / speed(s)
         doe_next = np.clip(self.held * doe + self.pushed * a, -self.limit, self.limit)
-        e, course, psi_e, r_e = moved(
-            self, CourseMotion(e, course, psi_e, r_e), v, (doe_next, doe, earlier), dt=self.dt
-        )
+        angles = doe_next, doe, earlier
+        if self.feels:
+            felt = felt or Felt(doe, earlier, doe)
+            angles = self.after(s, doe_next, felt).now, felt.now, felt.before
+        e, course, psi_e, r_e = moved(self, CourseMotion(e, course, psi_e, r_e), v, angles, dt=self.dt)
         return np.column_stack((e, v * course, v, psi_e, r_e, doe_next))
+
+    def after(self, s: Array, doe_next: Array, before: Felt) -> Felt:
+        """What it feels in the sample after s (n, columns), with the wheel at `doe_next` (n,) [rad]."""
+        now, slow = felt(self, doe_next, before.slow, before.now, speed(s))
+        return Felt(now, before.now, slow)
 
     def ratio(self, v: Array) -> Array:
         """Angle of the course to the car's axis over that of the steering wheel in a steady bend [1]; 0 while unknown.
@@ -175,6 +224,17 @@ def _by_yaw_rate(s: Array) -> Array:
     return s
 
 
+def angles_felt(car: Any, record: Transitions) -> tuple[Array, Array]:
+    """What a car feels of recorded angles (n,), and the slow part after each; (n, k) of one with numbers (k,)."""
+    now, slow = list[Any](), list[Any]()
+    rows = zip(record.s[:, DOE].tolist(), speed(record.s).tolist(), follow(record).tolist(), strict=True)
+    for doe, v, follows in rows:
+        u, at = felt(car, doe, slow[-1], now[-1], v) if follows else (doe + 0.0 * car.lead,) * 2
+        now.append(u)
+        slow.append(at)
+    return np.array(now), np.array(slow)
+
+
 def follow(record: Transitions) -> NDArray[np.bool_]:
     """Is each row the sample after the row above it (n,)?"""
     follows = np.zeros(len(record), dtype=bool)
@@ -200,6 +260,8 @@ class Imagined:
     """doe one sample before (n,) [rad]."""
     residual: Array
     """What to add to the model's next state (n, columns)."""
+    felt: Felt | None = None
+    """Of a car that feels another angle than the wheel's."""
 
 
 def imagine(
@@ -214,8 +276,11 @@ def imagine(
     near = near_path(record)
     row = near[rng.integers(len(near), size=count)]
     signs = np.where(np.array(description.mirror_signs) < 0.0, rng.choice([-1.0, 1.0], count)[:, None], 1.0)
-    s, residual = record.s[row] * signs, record.s_next[row] - model.step(record.s, record.a, earlier_doe(record))[row]
-    back = (earlier_doe(record)[row] - record.s[row, DOE]) * signs[:, DOE]
+    earlier, felt = earlier_doe(record), model.felt(record)
+    s, residual = record.s[row] * signs, (record.s_next - model.step(record.s, record.a, earlier, felt))[row]
+    back = (earlier[row] - record.s[row, DOE]) * signs[:, DOE]
+    if felt is not None:
+        felt = felt.part(row, signs[:, DOE]).shifted(-s[:, DOE])
     v = rng.uniform(record.s[:, V].min(), record.s[:, V].max(), count)
     s[:, PSI_E] += (model.ratio(speed(s)) - model.ratio(np.maximum(v, SLOWEST))) * s[:, DOE]
     s[:, E_DOT] *= v / speed(s)
@@ -232,7 +297,9 @@ def imagine(
     bend = rng.uniform(-model.limit, model.limit, count) / excess**2
     s[:, PSI_E] -= model.ratio(speed(s)) * (bend - s[:, DOE] - shift[:, DOE])
     s[:, DOE] = bend
-    return Imagined(s=s, earlier=bend + back, residual=residual * signs)
+    return Imagined(
+        s=s, earlier=bend + back, residual=residual * signs, felt=None if felt is None else felt.shifted(bend)
+    )
 
 
 def near_path(record: Transitions) -> NDArray[np.intp]:

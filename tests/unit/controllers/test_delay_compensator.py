@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, CourseMotion, DelayCompensator, moved
+from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, CourseMotion, DelayCompensator, felt, moved
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq.iterate import STANDARD, mirror_image
 from steerkit.learning.nfq.rprop import new_net
@@ -17,19 +17,27 @@ from tests.support.ranges import keeps_range
 
 CAR = DelayCompensator(samples=5, now=0.004, before=0.005, earlier=0.003, back=0.2, slip=4e-4, yaw=0.38, straight=0.05)
 FAST = replace(CAR, slip=0.0, loss=1.2e-3, yaw=1.0 / LENGTH, nose=0.9, tail=2e-3, fast=1.0)
+TORQUE = replace(FAST, lead=1.2, fade=0.5, most=4.0, slew=7.0)
+"""One whose steering overshoots and is slow."""
 
 
 def driven(car: DelayCompensator, n: int = 80, seed: int = 0) -> tuple[list[Any], list[CourseMotion]]:
     """What is seen of a car of these numbers at n samples, and its motion; steered at random through its dead time."""
     rng, speed = np.random.default_rng(seed), 5.0
     doe = np.concatenate((np.zeros(20), 0.2 * np.cumsum(rng.normal(size=n + 20))))  # doe[k + 20]: known at sample k
+    doe[20] = 0.0
+    u, slow = doe.copy(), 0.0
+    for k in range(1, len(u)):
+        wanted = doe[k] + np.clip(car.lead * (doe[k] - slow), -car.most / speed**2, car.most / speed**2)
+        u[k] = np.clip(wanted, u[k - 1] - car.slew / speed**2, u[k - 1] + car.slew / speed**2)
+        slow += car.fade * (doe[k] - slow)
     kappa = 0.02 * np.sin(0.1 * np.arange(n + 40))
     x, motions = CourseMotion(0.1, 0.02, -0.03, 0.01), []
     if car.fast:
         x = x._replace(psi_e=x.c - LENGTH * (x.r_e + speed * kappa[0]) / speed)
     for k in range(n + LONGEST):
         motions.append(x)
-        acting = [doe[k + 20 + 1 - car.samples - i] - car.straight for i in range(3)]
+        acting = [u[k + 20 + 1 - car.samples - i] - car.straight for i in range(3)]
         x = moved(car, x, speed, acting, speed * (kappa[k + 1] - kappa[k]))
     seen = [
         SimpleNamespace(
@@ -43,7 +51,7 @@ def driven(car: DelayCompensator, n: int = 80, seed: int = 0) -> tuple[list[Any]
 
 @pytest.mark.parametrize("samples", [0, 1, 5, LONGEST])
 @pytest.mark.parametrize("trust", [1.0, 0.25])
-@pytest.mark.parametrize("kind", [CAR, FAST], ids=["slow", "fast"])
+@pytest.mark.parametrize("kind", [CAR, FAST, TORQUE], ids=["slow", "fast", "torque"])
 def test_the_forecast_is_where_the_car_will_be(kind: DelayCompensator, samples: int, trust: float) -> None:
     car = replace(kind, samples=samples, trust=trust)
     seen, motions = driven(car)
@@ -54,6 +62,20 @@ def test_the_forecast_is_where_the_car_will_be(kind: DelayCompensator, samples: 
             np.testing.assert_allclose((e, e_dot / v, psi_e, r_e), motions[k + samples], atol=1e-9)
             assert (v, doe) == (u.v, u.doe - car.straight)
         x = car.remember(x, u)
+
+
+def test_a_step_overshoots_comes_back_and_takes_its_time() -> None:
+    car, v = replace(CAR, lead=0.5, fade=0.1), 2.0
+    u, slow, seen = 0.0, 0.0, []
+    for _ in range(20):
+        u, slow = felt(car, 1.0, slow, u, v)
+        seen.append(u)
+    np.testing.assert_allclose(seen, 1.0 + 0.5 * 0.9 ** np.arange(20), rtol=1e-12)
+    assert felt(replace(car, most=0.8), 1.0, 0.0, 0.0, v) == (pytest.approx(1.2), pytest.approx(0.1))
+    assert felt(replace(car, slew=0.8), 1.0, 0.0, 0.3, v)[0] == pytest.approx(0.5)
+    assert felt(replace(car, slew=0.8), -1.0, 0.0, 0.3, v)[0] == pytest.approx(0.1)
+    assert felt(CAR, 0.123, 9.0, 9.0, v) == (0.123, 9.0), "a car without feels the wheel's angle, to the last bit"
+    assert felt(car, 0.3, float("nan"), float("nan"), v) == (0.3, 0.3)
 
 
 @pytest.mark.parametrize("v", [6.0, 20.0, 40.0])
@@ -84,11 +106,16 @@ def test_noise_is_filtered_and_a_nan_is_forgotten() -> None:
     assert 0.0 < np.std(errors) < 0.006  # of 0.01
 
 
-def test_a_policy_with_a_forecast_comes_back_bit_for_bit(tmp_path: Path) -> None:
-    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=CAR, continuous=True)
+def test_a_policy_with_a_forecast_comes_back_bit_for_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=TORQUE, continuous=True)
     policy.save(tmp_path / "p.npz")
     again = NfqPolicy.load(tmp_path / "p.npz")
-    assert (again.forecast, again.continuous, again.preview_points) == (CAR, True, PREVIEW)
+    assert (again.forecast, again.continuous, again.preview_points) == (TORQUE, True, PREVIEW)
+    monkeypatch.setattr(DelayCompensator, "numbers", property(lambda car: (0.0,) * 12))
+    policy.save(tmp_path / "p.npz")
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match="12 numbers, expected 16"):
+        NfqPolicy.load(tmp_path / "p.npz")
 
 
 def test_the_action_between_is_the_lowest_point_of_the_parabola() -> None:
@@ -122,7 +149,11 @@ def test_numbers_out_of_range_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("back", 1e300), ("straight", 1e12), ("slip", -10.1), ("now", float("nan"))]
+    ("name", "value"),
+    [
+        *(("back", 1e300), ("straight", 1e12), ("slip", -10.1), ("now", float("nan"))),
+        *(("lead", -1.1), ("fade", 1.1), ("most", -1.0), ("slew", float("nan"))),
+    ],
 )
 def test_a_file_with_numbers_that_no_car_has_is_refused(name: str, value: float, tmp_path: Path) -> None:
     policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=replace(CAR, **{name: value}))

@@ -1,18 +1,18 @@
 """Dead time out of recorded transitions: the one that a car really has, and what goes with it."""
 
 import json
-from dataclasses import astuple, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
-from steerkit.controllers.delay_compensator import LENGTH
+from steerkit.controllers.delay_compensator import FELT, LENGTH, UNLIMITED
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of, refined, since_change
 from steerkit.learning.nfq.iterate import FitSetting, Learned, Problem, update
-from steerkit.learning.nfq.model import CarModel, with_heading_of_yaw_rate
+from steerkit.learning.nfq.model import CarModel, Felt, with_heading_of_yaw_rate
 from steerkit.learning.nfq.rprop import Fit
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS
@@ -33,24 +33,26 @@ def late(
     seed: int = 0,
     car: CarModel = CAR,
     speeds: tuple[float, float] = (4.0, 7.0),
+    action: float = 1.0,
 ) -> Transitions:
     """What is recorded of a car where its motion is `samples` late, in bends, in episodes of 60 samples."""
     rng, record = np.random.default_rng(seed), Transitions((*COLUMNS, "kappa"))
     for episode in range(n // 60):
         angles, actions = [0.0] * (samples + 2), []
         for _ in range(62 + samples):
-            actions.append(float(rng.choice(ACTIONS)) - 0.1 * angles[-1])
+            actions.append(action * float(rng.choice(ACTIONS)) - 0.1 * angles[-1])
             angles.append(angles[-1] + actions[-1])
         kappa = (0.004 if car.fast else 0.03) * np.sin(0.15 * np.arange(62 + samples) + episode)
         s = np.array([[0.0, rng.normal(0.0, 0.1), rng.uniform(*speeds), rng.normal(0.0, 0.05), 0.0, 0.0]])
         if car.fast:  # the yaw rate is its w
             s[0, 4] = car.yaw * (s[0, E_DOT] - s[0, V] * s[0, PSI_E]) - s[0, V] * kappa[0]
-        rows = []
+        rows, felt = [], Felt(*[np.array([-straight])] * 3)
         for k in range(61):
             old = angles[k + 1 : k + 3]  # the angle that acted before, and the one that acts in this sample
             s[0, DOE] = old[1] - straight
             rows.append(np.append(s[0], kappa[k]))
-            following = car.step(s, np.array([angles[k + 3] - old[1]]), np.array([old[0] - straight]))
+            following = car.step(s, np.array([angles[k + 3] - old[1]]), np.array([old[0] - straight]), felt)
+            felt = car.after(s, following[:, DOE], felt)
             following[0, 4] -= s[0, V] * (kappa[k + 1] - kappa[k])
             s = following
         motion = np.array(rows)
@@ -179,6 +181,18 @@ def changed(record: Transitions, **factors: float) -> Transitions:
     return part
 
 
+def test_steering_that_overshoots_and_is_slow_is_found_and_none_where_there_is_none() -> None:
+    speeds, shape = (9.0, 14.0), dict(lead=1.2, fade=0.07, most=6.0, slew=8.0)
+    torque = process_of(late(4, car=replace(FAST, **shape), speeds=speeds, action=0.3, n=1200), DESCRIPTION, 0.6)
+    found = tuple(getattr(torque.model, name) for name in FELT)
+    assert found == (pytest.approx(1.2, abs=0.61), 0.07, 6.0, 8.0), "what it felt before an episode is not known"
+    assert torque.forecast.numbers[-4:] == found
+    assert torque.model.loss == pytest.approx(FAST.loss, rel=0.1)
+    for noise in (0.0, 0.01):
+        plain = process_of(late(4, car=FAST, speeds=speeds, action=0.3, n=1200, noise=noise), DESCRIPTION, 0.6).model
+        assert (plain.lead, plain.slew, plain.feels) == (0.0, UNLIMITED, False)
+
+
 @pytest.mark.parametrize(
     ("factors", "refuses"),
     [
@@ -223,7 +237,7 @@ def test_of_noisy_records_the_models_and_what_nets_learn_are_written_down(
         models = [CarModel.fit(aligned(heading, 4), DESCRIPTION, fast=fast), process.model]
     asked = Problem(actions=ACTIONS, cost=DEFAULT.cost, fit=fit, description=DESCRIPTION)
     found = [
-        *np.ravel([astuple(model) for model in models]),
+        *np.ravel([[value for name, value in asdict(model).items() if name not in FELT] for model in models]),
         *np.ravel([net[0] for net in update(record, asked, Learned()).nets])[::9],
     ]
     for x, y in seen[:: fit.nets]:

@@ -242,9 +242,9 @@ def test_imagined_cars_at_speed_turn_the_wheel_less_and_lie_nearer_to_the_record
 
     step = CarModel.step
 
-    def listening(model: CarModel, s: np.ndarray, a: np.ndarray, earlier: np.ndarray) -> np.ndarray:
+    def listening(model: CarModel, s: np.ndarray, a: np.ndarray, earlier: np.ndarray, felt: None) -> np.ndarray:
         taken.append((fast.excess(s[:, 2]), a))
-        return step(model, s, a, earlier)
+        return step(model, s, a, earlier, felt)
 
     monkeypatch.setattr(CarModel, "step", listening)
     asked = Problem(actions=ACTIONS, cost=TanhCost(trip=50.0), fit=setting, description=fast)
@@ -277,6 +277,29 @@ def test_an_imagined_state_is_the_recorded_one_in_another_bend_at_another_speed(
     missed = record.s_next - model.step(record.s, record.a, np.array([1.0, 1.0]))
     expected = missed[row] * np.where(np.array(STANDARD.mirror_signs) < 0.0, signs[:, None], 1.0)
     np.testing.assert_allclose(late.residual, expected, atol=1e-12)
+
+
+def test_a_car_that_feels_another_angle_is_imagined_with_it() -> None:
+    """What it feels is what it felt when recorded, turned with the wheel, and it is the same car in the mirror."""
+    torque = replace(CAR, lead=1.0, fade=0.2, most=2.0, slew=4.0)
+    s = np.array([[0.0, 0.0, 5.0, 0.0, 0.0, angle] for angle in (0.0, 0.3, 0.4, 0.1, 0.1)])
+    record = Transitions()
+    record.extend(s[:-1], np.diff(s[:, 5]), s[1:], 0)
+    felt = torque.felt(record)
+    assert felt is not None
+    np.testing.assert_allclose(felt.now, [0.0, 0.16, 0.32, 0.16])  # the slew; then 0.08 rad of overshoot and more
+    np.testing.assert_allclose(felt.before, [0.0, 0.0, 0.16, 0.32])
+    np.testing.assert_allclose(felt.slow, [0.0, 0.06, 0.128, 0.1224])
+    a, earlier = np.array([0.1, -0.3, 0.2, 0.1]), np.array([0.0, 0.0, 0.3, 0.4])
+    there = torque.step(s[:-1], a, earlier, felt)
+    mirrored = torque.step(-s[:-1] * (1, 1, -1, 1, 1, 1), -a, -earlier, felt.part(slice(None), -1.0))
+    np.testing.assert_allclose(mirrored, there * (-1, -1, 1, -1, -1, -1), atol=1e-15)
+    near = imagine(torque, record, STANDARD, 400, np.random.default_rng(0))
+    assert near.felt is not None
+    off = np.abs(np.array(near.felt) - near.s[:, 5])
+    for row in range(4):
+        expected = np.abs(np.array(felt)[:, row] - s[row, 5])
+        assert np.isclose(off.T, expected, atol=1e-12).all(axis=1).any()
 
 
 def test_a_heading_is_imagined_with_its_sideways_speed() -> None:
