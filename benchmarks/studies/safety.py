@@ -11,6 +11,9 @@
 * Adversaries: full lock to either side, bang-bang at 20 Hz and slower, away from the path, an untrained net, commands
   by chance; tyres 30 % off, ratio 10 % off either way, 0.1 s of unknown delay; 2 to 9 m/s. The filter is
   given that commands may be 0.1 s late.
+* Beyond: adversaries on cars whose ratio, tyres and delay are all off by so many times what the filter doubts (10 %
+  of ratio and of tyres, 0.05 s), with its model and doubts as they are and as it finds them; `random-N` and
+  `sweeping-N`, N by --first-seed. Of the whole drive, and from 5 s on: nobody has steered the car before.
 * Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
   only with --parts car.
 * Narrowing: a driver who wants to be 0.42 m beside the path, with a doubt of the yaw rate that stays and one that
@@ -41,6 +44,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.foreign_cars import WIDE
 from benchmarks.run import spread
 from benchmarks.run.fleet import of_fleet, of_kind
 from benchmarks.run.safe_learning import Job, Learner, runs, summarise
@@ -57,6 +61,7 @@ from steerkit.metrics.signals import largest
 from steerkit.scenario import Scenario
 from steerkit.scenario.catalogue import make_safety
 from steerkit.scenario.drive import assembled
+from steerkit.scenario.fleet import straightest
 from steerkit.task import DT, STOP, TRIP
 
 KINDS = ("left", "right", "bang-bang", "slow bang-bang", "away", "untrained net", "chance")
@@ -65,6 +70,8 @@ SPEEDS = (2.0, 4.0, 6.5, 8.0, 9.0)
 """Of the adversaries' drives [m/s]."""
 LATE = 0.1
 """Unknown delay [s]."""
+HOSTILE, SETTLED = ("left", "slow bang-bang", "chance"), 5.0
+"""Adversaries of cars beyond the doubts; from when on what was found counts [s]."""
 OFF: dict[str, Any] = dict(vehicle={"tyres": 0.7}, steering={"delay": LATE}, knowledge={"delay": DT})
 """Unknown errors of the adversaries' cars, beside their ratio."""
 
@@ -174,6 +181,38 @@ def narrowing(seconds: float, speeds: tuple[float, ...], begin: float = 10.0) ->
     return {"narrowing": rows}
 
 
+def beyond(
+    seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...], doubts: tuple[float, ...], seed: int
+) -> dict[str, Any]:
+    """Largest |e| [m] where ratio, tyres and delay are off by so many doubts, ratio either way; all and from 5 s on."""
+    rows = list[dict[str, float]]()
+    for v, off in ((v, off) for v in speeds for off in doubts):
+        row = {"v": v, "doubts": off}
+        for name, settings in (("fixed", {"later": 0.0, "widest": 1.0}), ("found", {})):
+            logs = [
+                against(Adversary(kind=kind, seed=seed), scenario, seconds, SafetyFilter.delay_doubt, **settings)
+                for scenario in (off_by(v, off, -off, seed), off_by(v, off, off, seed))
+                for kind in kinds
+            ]
+            row[name] = max(largest(log["path.e"]) for log in logs)
+            row[f"{name}_later"] = max(largest(log["path.e"][log.t > SETTLED]) for log in logs)
+        rows.append(row)
+    return {"beyond": rows, "beyond_max_e": max(row["found"] for row in rows)}
+
+
+def off_by(v: float, doubts: float, ratio: float, seed: int) -> Scenario:
+    """A car at that speed [m/s] whose tyres and delay, and ratio in that direction, are off by so many doubts."""
+    course = f"{'sweeping' if v >= WIDE else 'random'}-{20 + seed}"
+    return Scenario.under(
+        "hard",
+        course={"name": course, "start": straightest(Scenario(course=course).path(), 10.0 * v)},
+        driver={"v_min": v, "v_max": v},
+        vehicle={"ratio": 1.0 + SafetyFilter.ratio_doubt * ratio, "tyres": 1.0 - SafetyFilter.ratio_doubt * doubts},
+        steering={"delay": round(DT + SafetyFilter.delay_doubt * doubts, 2)},
+        knowledge={"delay": DT},
+    )
+
+
 def cost(seconds: float, **settings: Any) -> dict[str, Any]:
     """Time of a sample of the filter and its path tracker in exported C, the call from Python included [ms].
 
@@ -208,7 +247,7 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
-PARTS = ("adversaries", "narrowing", "cost", "learners", "car")
+PARTS = ("adversaries", "narrowing", "beyond", "cost", "learners", "car")
 """What it measures; each can be left out, and the last has to be asked for: it takes real time, and the extra `car`."""
 
 
@@ -242,6 +281,12 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
         report |= narrowing(4.5, (5.0,), 3.0) if quick else narrowing(40.0, (3.0, 5.0, 8.0))
         for speed, row in report["narrowing"].items():
             console.print(f"0.42 m beside, {speed}:", ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
+    if "beyond" in options.parts:
+        doubts = (2.0,) if quick else (0.6, 1.0, 2.0, 3.0)
+        kinds, speeds = (KINDS[:1], (5.0,)) if quick else (HOSTILE, (3.0, 7.0, 15.0))
+        report |= beyond(6.0 if quick else 15.0, kinds, speeds, doubts, options.first_seed)
+        for row in report["beyond"]:
+            console.print(f"{row['v']:g} m/s, {row['doubts']:g} x off:", {k: round(row[k], 3) for k in list(row)[2:]})
     if "cost" in options.parts:
         report |= cost(2.0, horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
     if "learners" in options.parts:

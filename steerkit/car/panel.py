@@ -33,6 +33,7 @@ from steerkit.car.motion import ASTRAY, HORIZON
 from steerkit.car.protocol import Adapted, Filtered, Snapshot
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.fail_safe import said
+from steerkit.controllers.safety_filter import doubted
 from steerkit.diagram.units import degrees_of
 
 PERIOD = 0.04
@@ -245,10 +246,11 @@ def adapted_line(told: Adapted) -> str:
 
 
 def filter_line(last: Filtered, corrections: Collection[bool]) -> str:
-    """What the safety filter did last, and how often it changed a command in the last minute."""
+    """What the safety filter did last, how often it changed a command in the last minute, and what it doubts more."""
     share = f", {100.0 * last.share:.0f} % backup" if 0.0 < last.share < 1.0 else ""
     often = f"; changed {100.0 * sum(corrections) / len(corrections):.1f} % of the last minute" if corrections else ""
-    return f"{said(last.reason)}{share}, reach {last.reach:.2f} m{often}"
+    beyond = f"; {found}" if (found := doubted(last.late, last.widened)) else ""
+    return f"{said(last.reason)}{share}, reach {last.reach:.2f} m{often}{beyond}"
 
 
 def _ms(age: float) -> str:

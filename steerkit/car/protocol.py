@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 from steerkit.car.state_machine import Mode, Order
 from steerkit.paths.path import Path
 
-VERSION = 5
+VERSION = 6
 """Another one where a message changes."""
 NO_COURSE = ""
 """Of a client that does not say which course it means."""
@@ -97,6 +97,10 @@ class Filtered(NamedTuple):
     """How far off the car could have got otherwise [m]."""
     reason: float
     """Why: the number of a line of `steerkit.controllers.safety_filter.REASONS`, or of a fault of the filter's."""
+    late: float
+    """How much later than believed commands were found to arrive [s]."""
+    widened: float
+    """Factor on its doubt of ratio and tyres [1]."""
 
 
 class Snapshot(NamedTuple):

@@ -38,10 +38,10 @@ class FailSafe(Guard):
         delta_sw = recovery     if the filter raises, takes longer than `budget`, or its command is not finite
                  = its command  otherwise
 
-    `reason` then says which it was (see `FAULTS`), share is 1, correction recovery - command, and reach NaN where it is
-    not known. Each failure is logged on the logger `steerkit`, an exception with its traceback, but not while a loop is
-    traced, compiled or batched, where nothing can be late. The filter runs again in the next sample: its state is
-    updated with the command that was sent, and stays as it was where its update raises.
+    `reason` then says which it was (see `FAULTS`), share is 1, correction recovery - command, reach, late and widened
+    NaN where they are not known. Each failure is logged on the logger `steerkit`, an exception with its traceback, but
+    not while a loop is traced, compiled or batched, where nothing can be late. The filter runs again in the next
+    sample: its state is updated with the command that was sent, and stays as it was where its update raises.
 
     Inputs: those of `block`, and recovery [rad]. Outputs, state and sample time: those of `block`. A NaN in `recovery`
     goes through; the gate before a bus refuses it. An exception while a loop is traced goes through too.
@@ -57,7 +57,7 @@ class FailSafe(Guard):
 
     def __post_init__(self) -> None:
         where, outputs = "FailSafe", {port.name for port in self.block.outputs}
-        wanted = {"delta_sw", "correction", "share", "reach", "reason"}
+        wanted = {"delta_sw", "correction", "share", "reach", "reason", "late", "widened"}
         require(outputs == wanted, where, f"block with outputs {', '.join(sorted(outputs))}, expected a SafetyFilter")
         super().__post_init__()
 
@@ -72,19 +72,20 @@ class FailSafe(Guard):
             if m.is_symbol(t):
                 raise
             logging.getLogger("steerkit").exception("safety filter at t = %s s: %s", t, FAULTS[RAISED])
-            return self._instead(u, RAISED, math.nan)
+            return self._instead(u, RAISED)
         taken = self.clock() - began
         if self.budget is not None and taken > self.budget:
             logging.getLogger("steerkit").error(
                 "safety filter at t = %s s: %s, %.1f ms of %.1f ms", t, FAULTS[LATE], 1e3 * taken, 1e3 * self.budget
             )
-            return self._instead(u, LATE, y.reach)
+            return self._instead(u, LATE, y)
         sound = m.is_finite(y.delta_sw)
         if sound is False:  # one car
             logging.getLogger("steerkit").error("safety filter at t = %s s: %s", t, FAULTS[NOTHING])
-        other = self._instead(u, NOTHING, y.reach)
+        other = self._instead(u, NOTHING, y)
         return self.Y(*[m.where(sound, value, instead) for value, instead in zip(y, other, strict=True)])
 
-    def _instead(self, u: Any, reason: float, reach: Any) -> Any:
-        values = {"delta_sw": u.recovery, "correction": u.recovery - u.command, "share": 1.0, "reach": reach}
-        return self.Y(**values, reason=reason)
+    def _instead(self, u: Any, reason: float, y: Any = None) -> Any:
+        values = {"delta_sw": u.recovery, "correction": u.recovery - u.command, "share": 1.0, "reason": reason}
+        known = {name: math.nan if y is None else getattr(y, name) for name in ("reach", "late", "widened")}
+        return self.Y(**values, **known)

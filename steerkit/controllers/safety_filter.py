@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -29,6 +29,8 @@ REASONS = (
     "plan: what was found safe goes on",
 )
 """What each value of the output `reason` means."""
+_SAID = 1.5
+"""Factor on the doubt from which on it is told."""
 BEHIND_GATE: Mapping[str, float] = MappingProxyType({"hold": 4, "horizon": 2.0, "preview_points": 26})
 """How far a safety filter looks ahead where a gate makes the wheel slow: at 3 m/s^2 and 5 m/s^3 it takes 1.2 s from one
 side to the other. A command is held for less: in 0.4 s the gate turns the wheel by 2 m/s^2, and as long back."""
@@ -36,8 +38,12 @@ _ADAPT = 0.5
 """Time in which the yaw rate's slow part, and by how much the model has it wrong, are averaged [s]."""
 _WANDERS = 5.0
 """Time over which it is found how far `wrong` goes from its own average [s]."""
-_KEPT = 8
-"""Numbers in the state before the commands on their way."""
+_NOTICED = 2.0
+"""Time over which the yaw rate is compared with what each dead time would have made of the commands [s]."""
+_FORGETS = 15.0
+"""Time in which a doubt that was widened narrows again [s]."""
+_LATE, _WIDENED, _BANK = 8, 9, 15
+"""Where the state has the samples that commands arrive later than believed, the factor on `ratio_doubt`, the bank."""
 
 
 class _Now(NamedTuple):
@@ -47,14 +53,37 @@ class _Now(NamedTuple):
     wheel_before: Scalar
     wrong: Scalar
     r_slow: Scalar
-    doubt: Scalar
     commands: tuple[Scalar, ...]
-    preview: tuple[Scalar, ...]
+    """On their way [rad], from the one that the late car gets now."""
+    waiting: tuple[Scalar, ...]
+    """Those that it still waits for when a command of now arrives."""
+    kappa: tuple[Scalar, ...]
+    """The path's curvature in the middle of each sample until then [1/m]."""
+    ahead: tuple[Scalar, ...]
+    """That of every half sample from then on."""
+    bends: tuple[Scalar, ...]
+    """The path's own angle of the wheel [rad], of every sample from then on."""
+    doubt: Scalar
+    ratio_doubt: Scalar
+    dead: Scalar
+    """Samples until then."""
 
     def mirrored(self) -> _Now:
         """The mirror image."""
-        sides = Motion._make([-value for value in self.motion]), -self.wheel_before, -self.wrong, -self.r_slow
-        return _Now(*sides, self.doubt, tuple([-c for c in self.commands]), tuple([-kappa for kappa in self.preview]))
+        others = {name: -getattr(self, name) for name in ("wheel_before", "wrong", "r_slow")}
+        for name in ("commands", "waiting", "kappa", "ahead", "bends"):
+            others[name] = tuple([-value for value in getattr(self, name)])
+        return self._replace(motion=Motion._make([-value for value in self.motion]), **others)
+
+
+class _Pushed(NamedTuple):
+    """A car that is pushed: its wheel had it got all commands soon, and late; the wheel before; the push."""
+
+    car: Motion
+    soon: Scalar
+    late: Scalar
+    before: Scalar
+    push: Scalar
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,11 +107,11 @@ class SafetyFilter(Block):
     and by the same equations on mirrored states one to the right. The left one begins e_doubt further left and turned
     psi_doubt further left than measured, and its yaw rate is
 
-        r = r_model + wrong + yaw_doubt + ratio_doubt |r - r_slow|;
+        r = r_model + wrong + yaw_doubt + widened ratio_doubt |r - r_slow|;
 
-    its wheel is the further left one of two, of which one gets commands after `delay` and the other delay_doubt and a
-    sample later; its backup is given e and psi_e by e_doubt and psi_doubt too far right, without the push during the
-    delay. `wrong` and r_slow are averages over 0.5 s. With a `gate` each command is what that lets through.
+    its wheel is the further left one of two, of which one gets commands after `delay` + late and the other delay_doubt
+    and a sample later; its backup is given e and psi_e by e_doubt and psi_doubt too far right, without the push until
+    then. `wrong` and r_slow are averages over 0.5 s. With a `gate` each command is what that lets through.
 
     With `yaw_doubt_least` the yaw rate's doubt is wide at first and narrow where the model proves right:
 
@@ -90,6 +119,16 @@ class SafetyFilter(Block):
 
     <.> averages over 5 s, but a mean square grows within 0.5 s, so that a car that changes is doubted again after about
     a second. What was found safe with a narrow doubt holds only while that doubt bounds the errors.
+
+    Where the yaw rate proves these doubts too small, the model moves. p_k is what its yaw rate would be if commands
+    arrived k samples later than believed, up to `later` and the doubt; p_k and r are compared without their averages:
+
+        J_k(g) = <(r - g p_k)^2>,   g free within 1 +- widest ratio_doubt,   <.> averages over 2 s
+        late    = dt argmin_k J_k     once 2 min_k J_k + (yaw_doubt/2)^2 < J_k of all k that late and delay_doubt allow
+        widened = sqrt(min_k J_k(1) / <(yaw_doubt + ratio_doubt |r - r_slow|)^2>),   1 to `widest`, falls within 15 s
+
+    Where late moves, the plan is dropped: it was safe for another car. Until a car has been steered for about half a
+    second nothing is proven. Commands that arrive sooner than believed are not noticed.
 
     Guarantee: while the true car stays between the pushed ones, one that got a command with reach <= bound has
     |e| <= bound for `horizon` from then on, since after it either another such command is sent, or that one is held
@@ -103,9 +142,11 @@ class SafetyFilter(Block):
     Inputs: command [rad]; e [m], psi_e [rad], preview [1/m] (kappa every preview_dt of driving) at `reference`;
     v [m/s]; r [rad/s]; delta_sw_meas [rad]; with a `gate` also applied [rad], what it let through last. Outputs:
     delta_sw [rad]; correction [rad], delta_sw - command; share [1], 0 for none, 1 where nothing of w is left; reach [m]
-    of w; reason [1], the number of one of `REASONS`. State: r_model, `wrong`, r_slow, the wheel one sample before, the
-    command that was found safe last, less the path's own angle, for how many samples it is to be held, <wrong> and the
-    mean square of what is left of `wrong`; then commands on their way, oldest first. Where a command is not finite, or
+    of w; reason [1], the number of one of `REASONS`; late [s] and widened [1]. State: r_model, `wrong`, r_slow, the
+    wheel one sample before, the command that was found safe last, less the path's own angle, for how many samples it is
+    to be held, <wrong> and the mean square of what is left of `wrong`; late in samples, widened, the wheel and p_0 as
+    commanded, the latter's average, the mean squares of r and of what is allowed, and p_k, <r p_k>, <p_k^2> of each k;
+    then commands on their way, oldest first. Where a command is not finite, or
     an input is NaN, the last plan goes on, then the backup steers; a NaN in an input of the backup gives NaN, which the
     gate before a bus refuses. A negative v counts as 0.
     Raises ValueError for parameters out of range and for a backup that is not Stanley.
@@ -127,6 +168,8 @@ class SafetyFilter(Block):
     share = Out("1")
     reach = Out("m")
     reason = Out("1")
+    late = Out("s")
+    widened = Out("1")
 
     backup: DelayPredictor
     """Stanley, and the model that is rolled out: geometry, ratio, dead time and lag as they are believed."""
@@ -150,6 +193,10 @@ class SafetyFilter(Block):
     """Largest error of the yaw rate as a share of its change [1]: steering ratio, tyres."""
     delay_doubt: float = number(0.05, "s", low=0.0, high=2.0)
     """How much later than believed commands may arrive [s]."""
+    later: float = number(0.4, "s", low=0.0, high=2.0)
+    """How much later than believed they are found to arrive at the most [s]; 0: the believed delay stays."""
+    widest: float = number(4.0, "1", low=1.0, high=10.0)
+    """Largest factor on `ratio_doubt` where the yaw rate proves that too small [1]; 1: it stays."""
     approach: float = number(0.4, "s", low=0.0, high=10.0)
     """Time for which the drift at the end of a roll-out is extrapolated [s]."""
     preview_points: int = number(20, "1", low=2)
@@ -204,9 +251,24 @@ class SafetyFilter(Block):
         return math.floor(self.backup.model.delay / self.dt + 1e-9)
 
     @cached_property
-    def _latest(self) -> int:
-        """Samples after which it acts at the latest."""
-        return math.floor((self.backup.model.delay + self.delay_doubt) / self.dt + 1e-9) + 1
+    def _spread(self) -> int:
+        """Samples more after which it acts at the latest."""
+        return math.floor((self.backup.model.delay + self.delay_doubt) / self.dt + 1e-9) + 1 - self._soonest
+
+    @cached_property
+    def _later(self) -> int:
+        """Samples more that are found at the most."""
+        return math.ceil(self.later / self.dt - 1e-9)
+
+    @property
+    def _kept(self) -> int:
+        """Commands in the state."""
+        return self._soonest + self._later + self._spread
+
+    @property
+    def _candidates(self) -> int:
+        """Dead times in the bank."""
+        return self._later + self._spread + 1
 
     @cached_property
     def _model(self) -> Rollout:
@@ -220,59 +282,100 @@ class SafetyFilter(Block):
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero = m.filled(0.0, batch)
-        return (*[zero] * (_KEPT - 1), zero + (self.yaw_doubt / 3.0) ** 2, *[zero] * self._latest)
+        start = (*[zero] * 7, zero + (self.yaw_doubt / 3.0) ** 2, zero, zero + 1.0)
+        return (*start, *[zero] * (_BANK - len(start) + 3 * self._candidates + self._kept))
 
     def settle(self, t: float, x: State, u: Any) -> State:
         wheel = u.delta_sw_meas + 0.0
         none = 0.0 * wheel
         first = (u.r + 0.0, 0.0 * u.r, u.r + 0.0, wheel, wheel, none, none, none + (self.yaw_doubt / 3.0) ** 2)
-        return (*first, *[wheel] * self._latest)
+        steady = self._model.yaw_rate_after(u.r, wheel, m.maximum(u.v, 0.0), math.inf)
+        bank = (none, none + 1.0, wheel, steady, steady, none, none, *[none] * (3 * self._candidates))
+        return (*first, *bank, *[wheel] * self._kept)
+
+    def on_standby(self, x: State, settled: State) -> State:
+        """The state `settled`; what was found of the car stays."""
+        return (*settled[:_LATE], *x[_LATE : _WIDENED + 1], *settled[_WIDENED + 1 :])
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         v, sound = m.maximum(u.v, 0.0), m.is_finite(u.command)
-        motion = Motion(u.e, u.psi_e, u.r, u.delta_sw_meas)
-        now = _Now(motion, x[3], x[1], x[2], self._yaw_doubt(x[7]), self._sent(x, u), tuple(u.preview))
+        now = self._now(x, u, v)
         within = u.command
         if self.gate is None:
             within = limited(self._law, u.command, x[-1], v, v * v * m.absolute(u.preview[0]))
-        reach = self._reach(now, v, within)
+        sides = [(side, self._arrived(side, v)) for side in (now, now.mirrored())]
+        reach = self._reach(sides, v, within)
         safe = m.both(sound, reach <= self.bound)
+        found = (self.dt * x[_LATE], x[_WIDENED] + 0.0)
         if safe is True:  # one car whose command is kept, as nearly all are: the rest need not be computed
-            return self.Y(within, within - u.command, 0.0, reach, 0.0 if within == u.command else 1.0)
+            return self.Y(within, within - u.command, 0.0, reach, 0.0 if within == u.command else 1.0, *found)
         own = self._own(now, v)
         low = m.where(sound, within, own)
         high, share, step = own, 1.0, 1.0
         for _ in range(self.halvings):
             step = 0.5 * step
             middle = 0.5 * (low + high)
-            good = self._reach(now, v, middle) <= self.bound
+            good = self._reach(sides, v, middle) <= self.bound
             low, high = m.where(good, low, middle), m.where(good, middle, high)
             share = m.where(good, share - step, share)
         share = m.where(safe, 0.0, m.where(sound, share, 1.0))
         plan = m.both(share >= 1.0, x[5] > 0.5)
-        planned = m.clip(x[4] + self._bend(now.preview, v, self._soonest), -self._law.limit, self._law.limit)
+        planned = m.clip(x[4] + now.bends[0], -self._law.limit, self._law.limit)
         delta_sw = m.where(safe, within, m.where(plan, planned, m.where(sound, high, own)))
         changed = m.where(share < 1.0, m.where(share > 0.0, 2.0, m.where(within == u.command, 0.0, 1.0)), 3.0)
         reason = m.where(plan, 5.0, m.where(sound, changed, 4.0))
-        return self.Y(delta_sw, delta_sw - u.command, share, reach, reason)
+        return self.Y(delta_sw, delta_sw - u.command, share, reach, reason, *found)
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         part, slowly, planned = self.dt / _ADAPT, self.dt / _WANDERS, y.share < 1.0
-        left = (x[1] - x[6]) ** 2
+        left, v = (x[1] - x[6]) ** 2, m.maximum(u.v, 0.0)
+        bend = self._model.steady_wheel(self._ahead(tuple(u.preview), x[_LATE], 1)[0], v)
+        found = self._found(x, u, v, (*self._sent(x, u), y.delta_sw))
+        goes_on = m.where(y.reason < len(REASONS), m.maximum(x[5] - 1.0, 0.0), 0.0)
         after = (
-            self._model.yaw_rate_after(x[0], u.delta_sw_meas, m.maximum(u.v, 0.0), self.dt),
+            self._model.yaw_rate_after(x[0], u.delta_sw_meas, v, self.dt),
             x[1] + part * (u.r - x[0] - x[1]),
             x[2] + part * (u.r - x[2]),
             u.delta_sw_meas,
-            m.where(planned, y.delta_sw - self._bend(tuple(u.preview), m.maximum(u.v, 0.0), self._soonest), x[4]),
-            m.where(planned, self.hold - 1.0, m.where(y.reason < len(REASONS), m.maximum(x[5] - 1.0, 0.0), 0.0)),
+            m.where(planned, y.delta_sw - bend, x[4]),
+            m.where(found[0] == x[_LATE], m.where(planned, self.hold - 1.0, goes_on), 0.0),
             x[6] + slowly * (x[1] - x[6]),
             x[7] + m.where(left > x[7], part, slowly) * (left - x[7]),
+            *found,
             *self._sent(x, u)[1:],
             y.delta_sw,
         )
-        before = (*x[:_KEPT], *x[_KEPT + 1 :], x[-1])  # what is no number was not measured, or never left
+        kept = len(x) - self._kept
+        before = (*x[:kept], *x[kept + 1 :], x[-1])  # what is no number was not measured, or never left
         return tuple([m.where(m.is_finite(new), new + 0.0, old) for new, old in zip(after, before, strict=True)])
+
+    def _found(self, x: State, u: Any, v: Scalar, sent: State) -> State:
+        """How late commands arrive, by what factor the doubt is widened, and the bank that says so, after a sample."""
+        n, part, tight = self._candidates, self.dt / _NOTICED, (0.5 * self.yaw_doubt) ** 2
+        changes, products, squares = (x[_BANK + i * n : _BANK + (i + 1) * n] for i in range(3))
+        change, late = u.r - x[2], x[_LATE]
+        square = x[13] + part * (change * change - x[13])
+        allowed = x[14] + part * ((self.yaw_doubt + self.ratio_doubt * m.absolute(change)) ** 2 - x[14])
+        products = tuple([c + part * (change * p - c) for c, p in zip(products, changes)])
+        squares = tuple([s + part * (p * p - s) for s, p in zip(squares, changes)])
+        wide, best, place, within, off = self.widest * self.ratio_doubt, 1e9, 0.0, 1e9, 1e9
+        for k, (c, s) in enumerate(zip(products, squares)):
+            gain = m.clip(c / (s + 1e-12), 1.0 - wide, 1.0 + wide)
+            left = square - gain * (2.0 * c - gain * s)
+            place = m.where(left < best, float(k), place)
+            best = m.minimum(left, best)
+            within = m.where(
+                m.absolute(k - late - 0.5 * self._spread) < 0.5 * self._spread + 0.5, m.minimum(left, within), within
+            )
+            off = m.minimum(square - 2.0 * c + s, off)
+        late = m.where(within > 2.0 * best + tight, m.minimum(place, float(self._later)), late)
+        excess = m.sqrt(m.maximum(off, 0.0) / m.maximum(allowed, tight))
+        widened = m.maximum(excess, x[_WIDENED] - self.dt / _FORGETS * (x[_WIDENED] - 1.0))
+        turned = lag_step(sent[-1 - self._soonest] - x[10], self._follow, slewed(self._model, v) * self.dt)
+        r = self._model.yaw_rate_after(x[11], x[10] + 0.5 * turned, v, self.dt)
+        slow = x[12] + self.dt / _ADAPT * (x[11] - x[12])
+        seen = x[10] + turned, r, slow, square, allowed
+        return (late, m.minimum(widened, self.widest), *seen, r - slow, *changes[:-1], *products, *squares)
 
     def _yaw_doubt(self, square: Scalar) -> Scalar:
         """Of the yaw rate now [rad/s], from the mean square of what is left of `wrong`."""
@@ -280,13 +383,10 @@ class SafetyFilter(Block):
             return self.yaw_doubt
         return m.clip(3.0 * m.sqrt(square), self.yaw_doubt_least, self.yaw_doubt)
 
-    def _bend(self, preview: tuple[Scalar, ...], v: Scalar, samples: int) -> Scalar:
-        """The path's own angle of the wheel [rad], so many samples ahead."""
-        return self._model.steady_wheel(self._model.kappa(preview, samples * self.dt), v)
-
     def _sent(self, x: State, u: Any) -> State:
         """The commands on their way; of the last one a gate says what it made of it."""
-        return x[_KEPT:] if self.gate is None else (*x[_KEPT:-1], u.applied)
+        sent = x[len(x) - self._kept :]
+        return sent if self.gate is None else (*sent[:-1], u.applied)
 
     def _answer(self, seen: Motion, v: Scalar, kappa: Scalar, wheel_before: Scalar, command: Scalar) -> Scalar:
         """The backup's command [rad] after another, for what it sees."""
@@ -294,47 +394,119 @@ class SafetyFilter(Block):
         u = law.D(e=seen.e, psi_e=seen.psi_e, kappa=kappa, v=v, r=seen.r, delta_sw_meas=seen.wheel)
         return law.output(0.0, StanleyState(wheel_before / law.steer_ratio, command), u).delta_sw
 
+    def _now(self, x: State, u: Any, v: Scalar) -> _Now:
+        """What roll-outs start from."""
+        sent, late, preview = self._sent(x, u), x[_LATE], tuple(u.preview)
+        last = len(sent) - 1
+        commands = [[sent[min(k + self._later - n, last)] for n in range(self._later + 1)] for k in range(len(sent))]
+        middles = range(self._soonest + (round(late) if isinstance(late, float) else self._later))
+        ahead = self._ahead(preview, late, 2 * round(self.horizon / self.dt))
+        return _Now(
+            Motion(u.e, u.psi_e, u.r, u.delta_sw_meas),
+            x[3],
+            x[1],
+            x[2],
+            tuple([_picked(row, late) for row in commands]),
+            sent[-self._spread :],
+            tuple([self._model.kappa(preview, (k + 0.5) * self.dt) for k in middles]),
+            ahead,
+            tuple([self._model.steady_wheel(kappa, v) for kappa in ahead[: 2 * self.hold : 2]]),
+            self._yaw_doubt(x[7]),
+            x[_WIDENED] * self.ratio_doubt,
+            self._soonest + late,
+        )
+
+    def _ahead(self, preview: tuple[Scalar, ...], late: Scalar, count: int) -> tuple[Scalar, ...]:
+        """The path's curvature [1/m], every half sample from when a command of now arrives."""
+        model, half, first = self._model, 0.5 * self.dt, 2 * self._soonest
+        if isinstance(late, float):
+            first = first + 2 * round(late)
+            return tuple([model.kappa(preview, (first + k) * half) for k in range(count)])
+        halves = [model.kappa(preview, (first + k) * half) for k in range(2 * self._later + count)]
+        return tuple([_picked(halves[k : k + 2 * self._later + 1 : 2], late) for k in range(count)])
+
+    def _until(self, dead: Scalar, step: Callable[..., Any], values: Any) -> Any:
+        """The values after so many samples (k, values) -> values."""
+        one = isinstance(dead, float)
+        for k in range(round(dead) if one else self._soonest + self._later):
+            after = step(k, *values)
+            values = after if one else tuple([m.where(k < dead - 0.5, *pair) for pair in zip(after, values)])
+        return values
+
     def _own(self, now: _Now, v: Scalar) -> Scalar:
         """The backup's command now: that of the state in which it will arrive, as believed."""
-        model, motion, before, most = self._model, now.motion, now.wheel_before, slewed(self._model, v) * self.dt
-        for k in range(self._soonest):
-            turned = lag_step(now.commands[k - self._soonest] - motion.wheel, self._follow, most)
-            before = motion.wheel
-            motion = model.moved(motion, self.dt, turned, model.kappa(now.preview, (k + 0.5) * self.dt), v, now.wrong)
-        return self._answer(motion, v, model.kappa(now.preview, self._soonest * self.dt), before, now.commands[-1])
+        model, most, w = self._model, slewed(self._model, v) * self.dt, self._spread
 
-    def _reach(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
+        def waits(k: int, *values: Scalar) -> tuple[Scalar, ...]:
+            motion = Motion(*values[:4])
+            turned = lag_step(now.commands[k + w] - motion.wheel, self._follow, most)
+            return *model.moved(motion, self.dt, turned, now.kappa[k], v, now.wrong), motion.wheel
+
+        *motion, before = self._until(now.dead, waits, (*now.motion, now.wheel_before))
+        return self._answer(Motion(*motion), v, now.ahead[0], before, now.commands[-1])
+
+    def _reach(self, sides: Sequence[tuple[_Now, _Pushed]], v: Scalar, command: Scalar) -> Scalar:
         """The furthest that the car may get to either side after a command [m]."""
-        return m.maximum(self._left(now, v, command), self._left(now.mirrored(), v, -command))
+        left, right = sides
+        return m.maximum(self._left(*left, v, command), self._left(*right, v, -command))
 
-    def _left(self, now: _Now, v: Scalar, command: Scalar) -> Scalar:
+    def _moved(self, now: _Now, v: Scalar, kappa: Scalar, commands: tuple[Scalar, Scalar], at: _Pushed) -> _Pushed:
+        """A sample more of a car that is pushed to the left; one of its wheels gets the one command, one the other."""
+        most = slewed(self._model, v) * self.dt
+        soon = at.soon + lag_step(commands[0] - at.soon, self._follow, most)
+        late = at.late + lag_step(commands[1] - at.late, self._follow, most)
+        push = now.doubt + now.ratio_doubt * m.absolute(at.car.r - now.r_slow)
+        turned = m.maximum(soon, late) - at.car.wheel
+        car = self._model.moved(at.car, self.dt, turned, kappa, v, now.wrong + push)
+        return _Pushed(car, soon, late, at.car.wheel, push)
+
+    def _arrived(self, now: _Now, v: Scalar) -> _Pushed:
+        """The car that is pushed to the left, until a command of now arrives."""
+
+        def waits(k: int, *values: Scalar) -> tuple[Scalar, ...]:
+            commands = now.commands[k + self._spread], now.commands[k]
+            after = self._moved(now, v, now.kappa[k], commands, _Pushed(Motion(*values[:4]), *values[4:]))
+            return *after.car, *after[1:]
+
+        late = m.maximum(now.motion.wheel, now.wheel_before)
+        begin = now.motion.e + self.e_doubt, now.motion.psi_e + self.psi_doubt, now.motion.r, late
+        values = self._until(now.dead, waits, (*begin, now.motion.wheel, late, late, now.doubt))
+        return _Pushed(Motion(*values[:4]), *values[4:])
+
+    def _left(self, now: _Now, at: _Pushed, v: Scalar, command: Scalar) -> Scalar:
         """The furthest to the left, of a car that is pushed there."""
-        model, dt, soonest, latest = self._model, self.dt, self._soonest, self._latest
-        dead, follow, most = soonest * dt, self._follow, slewed(model, v) * dt
-        commands = list(now.commands)
-        soon, late = now.motion.wheel, m.maximum(now.motion.wheel, now.wheel_before)
-        car = Motion(now.motion.e + self.e_doubt, now.motion.psi_e + self.psi_doubt, now.motion.r, late)
-        push, before, furthest = now.doubt, late, -1e9
-        bend = self._bend(now.preview, v, soonest)
-        for k in range(soonest + round(self.horizon / dt)):
-            if k >= soonest:
-                if k < soonest + self.hold:
-                    given = command + self._bend(now.preview, v, k) - bend
-                else:
-                    unaware = 2.0 * self.psi_doubt + push * dead
-                    e_seen = car.e - 2.0 * self.e_doubt - v * unaware * dead
-                    seen = Motion(e_seen, car.psi_e - unaware, car.r, car.wheel)
-                    given = self._answer(seen, v, model.kappa(now.preview, k * dt), before, given)
-                if self.gate is not None:
-                    early = self.gate.frame_dt if k == soonest else 0.0
-                    given = self.gate.pushed(given, commands[-1], v, dt, early)
-                commands.append(given)
-            soon = soon + lag_step(commands[k + latest - soonest] - soon, follow, most)
-            late = late + lag_step(commands[k] - late, follow, most)
-            push = now.doubt + self.ratio_doubt * m.absolute(car.r - now.r_slow)
-            before, e_before = car.wheel, car.e
-            turned = m.maximum(soon, late) - before
-            car = model.moved(car, dt, turned, model.kappa(now.preview, (k + 0.5) * dt), v, now.wrong + push)
-            if k >= soonest:  # until then nothing that is commanded now makes a difference
-                furthest = m.maximum(car.e, furthest)
-        return m.maximum(car.e + self.approach * (car.e - e_before) / dt, furthest)
+        dead, commands = now.dead * self.dt, list(now.waiting)
+        furthest, e_before = -1e9, at.car.e
+        for k in range(round(self.horizon / self.dt)):
+            if k < self.hold:
+                given = command + now.bends[k] - now.bends[0]
+            else:
+                unaware = 2.0 * self.psi_doubt + at.push * dead
+                e_seen = at.car.e - 2.0 * self.e_doubt - v * unaware * dead
+                seen = Motion(e_seen, at.car.psi_e - unaware, at.car.r, at.car.wheel)
+                given = self._answer(seen, v, now.ahead[2 * k], at.before, given)
+            if self.gate is not None:
+                early = self.gate.frame_dt if k == 0 else 0.0
+                given = self.gate.pushed(given, commands[-1], v, self.dt, early)
+            commands.append(given)
+            e_before = at.car.e
+            at = self._moved(now, v, now.ahead[2 * k + 1], (given, commands[k]), at)
+            furthest = m.maximum(at.car.e, furthest)
+        return m.maximum(at.car.e + self.approach * (at.car.e - e_before) / self.dt, furthest)
+
+
+def doubted(late: float, widened: float) -> str:
+    """What the filter found of the car beyond its doubts, in words, from late [s] and widened [1]; "" for nothing."""
+    delay = f"commands arrive {late:.2f} s later than believed" if late > 0.0 else ""
+    ratio = f"ratio and tyres doubted {widened:.1f} times as much" if widened > _SAID else ""
+    return ", ".join(filter(None, (delay, ratio)))
+
+
+def _picked(values: Sequence[Scalar], index: Scalar) -> Scalar:
+    """The value of that number, which may be a symbol or one of each car of a batch."""
+    if isinstance(index, float):
+        return values[round(index)]
+    found = values[0]
+    for k, value in enumerate(values[1:], 1):
+        found = m.where(index > k - 0.5, value, found)
+    return found

@@ -9,6 +9,7 @@ from typing import Any
 
 from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.safety_filter import doubted
 from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import LoopState, Sample
@@ -40,7 +41,7 @@ SIGNALS = (
     "supervisor.learning",
     "controller.action",
 )
-SAFETY_SIGNALS = ("safety.share", "safety.correction", "safety.reason")
+SAFETY_SIGNALS = ("safety.share", "safety.correction", "safety.reason", "safety.late", "safety.widened")
 """Those of a learner with a safety filter besides."""
 Watcher = Callable[[str, "LearningRun"], None]
 
@@ -112,6 +113,8 @@ class LearningRun:
         self._inputs = state_signals(setting, self.loop.inputs_of("controller"))
         self.safe = setting.safe
         self._element = setting.element(scenario.nominal)
+        self.doubted = ""
+        """What the safety filter found of the car beyond its doubts."""
         self.recorder = Recorder(self.loop, SIGNALS + SAFETY_SIGNALS * self.safe)
         self._signs = SignCheck(scenario, self.loop, self.policy.dt)
 
@@ -163,6 +166,10 @@ class LearningRun:
         self.recorder.add(counts.k, self.y)
         sample = Sample(self.loop, self.t, self.y)
         self._signs.look(sample)
+        if self.safe:
+            before, self.doubted = self.doubted, doubted(sample["safety.late"], sample["safety.widened"])
+            if self.doubted and not before:
+                self._tell("doubted")
         if self.each is not None:
             self.each(sample)
         learning, rounds = self._value("supervisor.learning") > 0.5, counts.rounds

@@ -137,6 +137,8 @@ def on_terminal(experiment: Experiment, console: Console) -> Iterator[Watcher]:
     def watch(what: str, run: LearningRun) -> None:
         if what == "stuck":
             bar.console.print(run.counts.stuck[-1], soft_wrap=True, style="yellow")
+        if what == "doubted":
+            bar.console.print(beyond(run), soft_wrap=True, style="yellow")
         if what == "second":
             lately.see(run)
             if not bar.tasks[0].started:  # at its first second, that of a run that goes on too
@@ -145,6 +147,11 @@ def on_terminal(experiment: Experiment, console: Console) -> Iterator[Watcher]:
 
     with bar:
         yield watch
+
+
+def beyond(run: LearningRun) -> str:
+    """What the safety filter has just found of the car beyond its doubts."""
+    return f"safety filter, at {run.t:.1f} s: {run.doubted}"
 
 
 def in_words(run: LearningRun, rms_e: float) -> str:
@@ -157,7 +164,8 @@ def in_words(run: LearningRun, rms_e: float) -> str:
 
 
 def in_lines(say: Callable[[str], None]) -> Watcher:
-    """A line for every round, every fifth failure, and whenever the recovery controller does not get to hand over."""
+    """A line for every round, every fifth failure, and whenever the recovery controller does not get to hand over or
+    the safety filter finds its doubts too small."""
 
     def line(run: LearningRun) -> str:
         episode = run.counts.episodes[-1] if run.counts.episodes else None
@@ -170,6 +178,8 @@ def in_lines(say: Callable[[str], None]) -> Watcher:
     def watch(what: str, run: LearningRun) -> None:
         if what == "stuck":
             say(run.counts.stuck[-1])
+        if what == "doubted":
+            say(beyond(run))
         if what == "round":
             say(f"{'first learned round' if run.counts.rounds == 1 else 'round'}: {line(run)}")
         if what == "failed" and run.counts.failures % 5 == 0:

@@ -21,6 +21,6 @@ messages = st.one_of(
     st.builds(Command, st.sampled_from(Order)),
     st.builds(Request, st.floats(), st.floats(), st.integers(0, 2**32 - 1)),
     st.builds(Adapted, *[st.floats()] * 2),
-    st.builds(Filtered, *[st.floats()] * 5),
+    st.builds(Filtered, *[st.floats()] * 7),
     st.builds(Estimates, st.tuples(*[st.floats()] * (3 * len(ESTIMATES)))),
 )

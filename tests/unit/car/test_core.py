@@ -354,12 +354,12 @@ def test_who_reads_no_keys_cannot_engage_beside_two_panels_whose_names_are_shown
     assert world.query().holder == "x" * 80
 
 
-@pytest.mark.parametrize("hello", [["Hello", False, 4, ""], ["Hello", True, 6, "", "me", 1.0], ["Hello", False, 1]])
+@pytest.mark.parametrize("hello", [["Hello", False, 4, ""], ["Hello", True, 7, "", "me", 1.0], ["Hello", False, 1]])
 def test_a_client_of_another_version_is_told_so(hello: list[Any]) -> None:
     core = Core(config(), course("paper"))
     core.handle(Link(5.0, 1, True))
     (reply,) = core.handle(Packet(5.0, 1, json.dumps(hello).encode()))
-    both = f"version 5 of the protocol, not {hello[2]}: start both from the same installation"
+    both = f"version 6 of the protocol, not {hello[2]}: start both from the same installation"
     assert decode(reply.data) == Refused(f"the car server speaks {both}")  # type: ignore[union-attr]
     assert refusals(core, 5.1, 1, Command(Order.ARM)) == ["say hello first, with a version that is understood"]
     assert core.machine.mode is Mode.OFF
@@ -441,7 +441,7 @@ def test_a_delay_is_not_acknowledged_away_with_its_fault(late: float) -> None:
     [
         ("estimates", Estimates(tuple(map(float, range(3 * len(ESTIMATES)))))),
         ("adapted", Adapted(0.21, 1.08)),
-        ("safety", Filtered(0.3, 0.2, 0.5, 0.6, 2.0)),
+        ("safety", Filtered(0.3, 0.2, 0.5, 0.6, 2.0, 0.1, 1.0)),
     ],
 )
 def test_what_a_controller_notes_is_the_controllers_and_for_the_recording_only(topic: str, message: Any) -> None:

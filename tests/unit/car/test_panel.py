@@ -225,12 +225,16 @@ def test_an_age_is_told_in_milliseconds_until_there_is_none() -> None:
 
 
 def test_the_filters_line_says_what_it_did_and_how_often() -> None:
-    corrected = Filtered(0.3, 0.2, 0.25, 0.61, 2.0)
+    corrected = Filtered(0.3, 0.2, 0.25, 0.61, 2.0, 0.0, 1.4)
     assert filter_line(corrected, [True, False, False, False]) == (
         "corrected, 25 % backup, reach 0.61 m; changed 25.0 % of the last minute"
     )
-    assert filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0), []) == "passed, reach 0.20 m"
-    assert filter_line(Filtered(0.3, 0.0, 1.0, 0.2, 7.0), [True]).startswith("recovery: the filter was late, reach")
+    assert filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.0, 1.0), []) == "passed, reach 0.20 m"
+    late = Filtered(0.3, 0.0, 1.0, 0.2, 7.0, math.nan, math.nan)
+    assert filter_line(late, []) == "recovery: the filter was late, reach 0.20 m"
+    beyond = filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.15, 2.04), [])
+    told = "commands arrive 0.15 s later than believed, ratio and tyres doubted 2.0 times as much"
+    assert beyond == f"passed, reach 0.20 m; {told}"
 
 
 def test_snapshots_are_shown_under_the_names_of_the_layouts() -> None:

@@ -113,7 +113,7 @@ def test_what_raises_while_a_loop_is_traced_goes_through() -> None:
     block = FailSafe(block=Broken(block=FILTER, answer=raising, remember=raising))
     u: Any = block.U(**HERE)
     x = block.settle(0.0, block.init(), u)
-    for traced in (lambda t: block.output(t, x, u), lambda t: block.update(t, x, u, block.Y(*[0.0] * 5))):
+    for traced in (lambda t: block.output(t, x, u), lambda t: block.update(t, x, u, block.Y(*[0.0] * 7))):
         with pytest.raises(ZeroDivisionError):
             traced(casadi.SX.sym("t"))
 

@@ -10,7 +10,7 @@ import pytest
 
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.offset_free import CommandCompensation
-from steerkit.controllers.safety_filter import _KEPT, BEHIND_GATE, REASONS, SafetyFilter
+from steerkit.controllers.safety_filter import _LATE, _WIDENED, BEHIND_GATE, REASONS, SafetyFilter, doubted
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
@@ -191,7 +191,7 @@ def test_what_was_sent_is_what_is_on_its_way() -> None:
     y = block.output(0.0, x, u)
     after = block.update(0.0, x, u, y)
     assert after[-1] == y.delta_sw != 0.0
-    assert after[_KEPT:-1] == x[_KEPT + 1 :]
+    assert after[-block._kept : -1] == x[1 - block._kept :]
     assert block.update(0.0, after, u, y._replace(delta_sw=math.nan))[-1] == after[-1] != after[-2]
 
 
@@ -312,3 +312,105 @@ def test_where_nothing_new_is_safe_the_plan_goes_on_and_then_the_backup_steers()
     assert sent[-1][1] < 0.0
     recovered = y._replace(delta_sw=0.1, share=1.0, reason=float(len(REASONS)))
     assert block.output(0.0, block.update(0.0, dropped, u, recovered), lost).reason == 3.0
+
+
+def followed(
+    block: SafetyFilter, late: int, gain: float, *, seconds: float = 8.0, seed: int = 0
+) -> tuple[Any, list[Any]]:
+    """The last state and the outputs of a filter that passes all, whose car is its model, late, with another gain."""
+    model, rng, soonest = block.backup.model, np.random.default_rng(seed), round(block.backup.model.delay / block.dt)
+    sent, wheel, r, said = [0.0] * (soonest + late + 1), 0.0, 0.0, list[Any]()
+    share, wide = 1.0 - math.exp(-block.dt / model.lag), replace(block, bound=90.0)
+    x = wide.settle(0.0, wide.init(), wide.D(**{**HERE, "preview": (0.0,) * block.preview_points}))
+    for k in range(round(seconds / block.dt)):
+        command = 0.5 * math.sin(3.0 * k * block.dt) + 0.2 * float(rng.normal())
+        u: Any = wide.U(**{**HERE, "preview": (0.0,) * block.preview_points, "command": command, "r": gain * r})
+        y = wide.output(k * block.dt, x, u)
+        x = wide.update(k * block.dt, x, u, y)
+        sent.append(y.delta_sw)
+        turned = min(max(share * (sent[-1 - soonest - late] - wheel), -model.rate_limit * block.dt), 9.0)
+        r, wheel = model.yaw_rate_after(r, wheel + 0.5 * turned, u.v, block.dt), wheel + turned
+        said.append(y)
+    return x, said
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+@pytest.mark.parametrize(("late", "gain"), [(0, 1.0), (2, 1.0), (4, 1.0), (8, 0.8), (5, 1.25), (10, 1.0)])
+def test_how_late_commands_arrive_is_found_beyond_the_doubt_whatever_the_ratio(
+    delay: float, late: int, gain: float
+) -> None:
+    """Within the doubt, which is two samples, nothing moves; eight samples later is the latest that is believed."""
+    block = SafetyFilter.of(PASSAT, delay=delay)
+    y = followed(block, late, gain)[1][-1]
+    assert y.late == pytest.approx(0.05 * min(8, late if late > 2 else 0))
+    assert followed(replace(block, later=0.0), late, gain, seconds=3.0)[1][-1].late == 0.0
+
+
+def test_the_ratio_is_doubted_as_much_as_it_is_off_at_most_four_times_and_less_with_time() -> None:
+    block = SafetyFilter.of(PASSAT, yaw_doubt=1e-5)
+    widened = [followed(block, 1, gain)[1][-1].widened for gain in (1.0, 0.95, 0.8, 1.3, 2.0)]
+    assert widened[:2] == [1.0, 1.0]
+    assert widened[2:] == pytest.approx([2.5, 3.0 / 1.3, 4.0], rel=0.01), "shares of the car's own yaw rate, over 0.1"
+    u: Any = block.U(**{**HERE, "preview": (0.0,) * block.preview_points})
+    x = block.settle(0.0, block.init(), u)
+    x = (*x[:_WIDENED], 3.0, *x[_WIDENED + 1 :])
+    for k in range(400):
+        x = block.update(0.05 * k, x, u, block.output(0.05 * k, x, u))
+    after = block.output(0.0, x, u).widened
+    assert after == pytest.approx(1.0 + 2.0 * math.exp(-20.0 / 15.0), rel=0.01), "20 s straight on"
+    assert block.output(0.0, block.on_standby(x, block.settle(0.0, x, u)), u).widened == after
+
+
+def test_a_car_that_is_found_to_be_late_is_rolled_out_as_one_that_was_believed_to_be() -> None:
+    rng, late = np.random.default_rng(3), SafetyFilter.of(PASSAT, delay=0.05, gate=GateModel(), **BEHIND_GATE)
+    told, extra = SafetyFilter.of(PASSAT, delay=0.2, gate=GateModel(), **BEHIND_GATE), 3
+    outputs = []
+    for _ in range(12):
+        values = dict(zip(("command", "e", "psi_e", "r", "delta_sw_meas"), rng.uniform(-0.3, 0.3, 5).tolist()))
+        sent = tuple(rng.uniform(-0.4, 0.4, 40).tolist())
+        preview = tuple(rng.uniform(-0.02, 0.02, late.preview_points).tolist())
+        u: Any = late.U(**{**HERE, **values, "preview": preview, "applied": sent[-1]})
+        found = []
+        for block, n in ((late, extra), (told, 0)):
+            x = block.settle(0.0, block.init(), u)
+            x = (*x[:_LATE], float(n), *x[_LATE + 1 : len(x) - block._kept], *sent[-block._kept :])
+            found.append(block.output(0.0, x, u)[:5])
+        assert found[0] == pytest.approx(found[1], abs=1e-12)
+        outputs.append((*x[:_LATE], float(extra), *x[_LATE + 1 :], *found[0]))
+    assert len({round(output[-1]) for output in outputs}) > 1
+
+
+def test_a_batch_is_as_late_as_each_of_its_cars() -> None:
+    block = SafetyFilter.of(PASSAT, delay=0.1)
+    cars = [followed(block, late, gain, seconds=5.0)[0] for late, gain in ((0, 1.0), (5, 0.8), (8, 1.3))]
+    batch = tuple(np.array(column) for column in zip(*cars))
+    here = {**HERE, "preview": tuple(np.linspace(0.0, 0.02, block.preview_points).tolist()), "command": 0.6, "e": 0.3}
+    u: Any = block.U(**here)
+    together = block.output(0.0, batch, u)
+    after = block.update(0.0, batch, u, together)
+    for n, x in enumerate(cars):
+        y = block.output(0.0, x, u)
+        assert [float(np.broadcast_to(value, 3)[n]) for value in together] == pytest.approx(list(y), abs=1e-12)
+        alone = block.update(0.0, x, u, y)
+        assert [float(np.broadcast_to(value, 3)[n]) for value in after] == pytest.approx(list(alone), abs=1e-12)
+    assert sorted({float(value) for value in together.late}) == pytest.approx([0.0, 0.25, 0.4])
+
+
+@pytest.mark.parametrize("kind", ["left", "slow"])
+def test_with_ratio_tyres_and_delay_off_by_three_doubts_it_notices_and_keeps_the_car(kind: str) -> None:
+    """The first half second is not noticed in time."""
+    car: dict[str, Any] = {"vehicle": {"ratio": 0.7, "tyres": 0.7}, "steering": {"delay": 0.2}}
+    off = Scenario.under("hard", course="paper", driver={"v_min": 3.0, "v_max": 3.0}, knowledge={"delay": 0.05}, **car)
+    log, stubborn = (driven(kind, off, **settings) for settings in ({}, {"later": 0.0, "widest": 1.0}))
+    settled = log.t > 3.0
+    assert np.abs(log["path.e"][settled]).max() < 0.5
+    assert doubted(log["safety.late"][-1], log["safety.widened"][-1]).startswith("commands arrive 0.20 s later than")
+    if kind == "slow":
+        assert np.abs(stubborn["path.e"][settled]).max() > 1.0
+    assert np.abs(log["path.e"]).max() < 0.65
+
+
+def test_what_was_found_is_told_in_words() -> None:
+    assert (doubted(0.0, 1.5), doubted(math.nan, math.nan)) == ("", "")
+    assert doubted(0.15, 1.2) == "commands arrive 0.15 s later than believed"
+    assert doubted(0.0, 2.0) == "ratio and tyres doubted 2.0 times as much"

@@ -143,6 +143,15 @@ def test_a_learner_with_a_filter_is_corrected_and_taken_from_the_wheel_within_th
     assert np.abs(free.recorder.log()["path.e"]).max() > 0.5
 
 
+def test_a_filter_that_finds_its_doubts_too_small_says_so_once() -> None:
+    scenario, told = Scenario.under("hard", steering={"delay": 0.3}, knowledge={"delay": 0.1}), list[tuple[str, str]]()
+    experiment = Experiment(setting=replace(SHORT.setting, safe=True), scenario=scenario, minutes=0.1, seed=0)
+    run = learn(experiment, watch=lambda what, run: told.append((what, run.doubted)))
+    assert [words[:31] for what, words in told if what == "doubted"] == ["commands arrive 0.20 s later th"]
+    late = run.recorder.log()["safety.late"]
+    assert late[0] == 0.0 < late[-1]
+
+
 def test_patience_is_how_long_a_policy_may_be_corrected() -> None:
     ends = [safely(4.0, corrected_seconds=patience).counts.episodes[0].ended for patience in (0.5, 1.0)]
     assert ends[1] == pytest.approx(ends[0] + 0.5, abs=0.06)

@@ -43,9 +43,12 @@ def test_a_terminal_has_a_bar_with_words_and_what_is_stuck() -> None:
             run.drive()
         run.counts.stuck.append("it cannot hand over")
         watch("stuck", run)
+        run.doubted = "all is late"
+        watch("doubted", run)
     shown = stream.getvalue()
     assert "0.2 of 0.2 min: " in shown
     assert "it cannot hand over" in shown
+    assert ": all is late" in shown
 
 
 def scalars(place: Path) -> dict[str, list[tuple[int, float]]]:
@@ -94,3 +97,6 @@ def test_without_a_terminal_rounds_and_every_fifth_failure_are_a_line() -> None:
         watch(what, run)
     assert said[-1] == "it is stuck"
     assert len(said) == 5
+    run.doubted = "all is late"
+    watch("doubted", run)
+    assert said[-1] == "safety filter, at 0.0 s: all is late"

@@ -144,6 +144,7 @@ def sensible(name: str, f: Any) -> None:
         case "safety":
             assert (f["runs"], f["departures"], f["departures_without"]) == (1, 0, 1)
             assert 0.3 < f["adversary_max_e"] < 0.5
+            assert 0.3 < f["beyond"][0]["found"] == f["beyond_max_e"] < 0.5
             assert f["filter_p99_ms"] is None or f["filter_p99_ms"] > 0.0
         case "learning":
             assert (f["seeds"], f["minutes"], len(f["outcomes"])) == (1, 0.5, 1)
