@@ -65,19 +65,27 @@ def rls_update(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, ga
     m' = m + gain (x - m),  C' = keep C + weight (1 - gain) (x - m)(x - m)^T,  the same with y:
 
     exact exponential forgetting of weighted means and centred sums of products, so that an unknown constant costs
-    nothing. x: regressors; dy: the response less its mean before; gain: weight over the sum of all weights.
+    nothing. x: three regressors; dy: the response less its mean before; gain: weight over the sum of all weights.
     Source: West 1979 (updating weighted means and covariances).
     """
-    p, own = len(x), weight * (1.0 - gain)
-    d = [value - mean for value, mean in zip(x, moments)]
-    after = [mean + gain * value for mean, value in zip(moments, d)]
-    place = p
-    for i, aside in enumerate((*d, dy)):
-        added = own * aside
-        for other in d[: i + 1]:
-            after.append(keep * moments[place] + added * other)
-            place += 1
-    return tuple(after)
+    mean_a, mean_b, mean_c, aa, ab, bb, ac, bc, cc, ay, by, cy = moments
+    own, (a, b, c) = weight * (1.0 - gain), x
+    da, db, dc = a - mean_a, b - mean_b, c - mean_c
+    own_b, own_c, own_y = own * db, own * dc, own * dy
+    return (  # written out: sixteen of them are a third of an estimator's time
+        mean_a + gain * da,
+        mean_b + gain * db,
+        mean_c + gain * dc,
+        keep * aa + own * da * da,
+        keep * ab + own_b * da,
+        keep * bb + own_b * db,
+        keep * ac + own_c * da,
+        keep * bc + own_c * db,
+        keep * cc + own_c * dc,
+        keep * ay + own_y * da,
+        keep * by + own_y * db,
+        keep * cy + own_y * dc,
+    )
 
 
 def fitted(moments: State, precision: Sequence[float], prior: Sequence[float]) -> Fit:
