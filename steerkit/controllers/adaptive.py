@@ -69,6 +69,9 @@ class Adaptive(Block):
     """Largest [1]."""
     delay_rate: float = number(0.5, "s/s", low=0.0, high=10.0)
     """Fastest change of the believed dead time [s/s]."""
+    delay_sure: float = number(10.0, "s", low=1e-4, high=10.0)
+    """Deviation of its estimate up to which it falls as fast [s]; else with the square of this over the deviation, as
+    too short a dead time makes a fast law swing, and what is estimated then is no better."""
     ratio_rate: float = number(0.1, "1/s", low=0.0, high=10.0)
     """That of the ratio [1/s]."""
     limit: float = number(STOP, "rad", low=1e-3, high=30.0)
@@ -185,18 +188,19 @@ class Adaptive(Block):
         followed = m.where(m.both(step <= self.delay.rate_limit * self.dt, standby < 0.5), 1.0, 0.0)
         watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, deviation, followed)
         after.append(self.steering.update(t, states[-1], watched, known))
-        bounds = self.delays[0], self.delays[-1]
+        bounds, ratios = (self.delays[0], self.delays[-1]), (self.ratio_least, self.ratio_most)
+        doubt = m.maximum(deviation / self.delay_sure, 1.0)
         believed = (
-            self._followed(delay, dead + late, valid, self.delay_rate, bounds),
-            self._followed(ratio, known.ratio, known.ratio_valid, self.ratio_rate, (self.ratio_least, self.ratio_most)),
+            self._followed(delay, dead + late, valid, (self.delay_rate / (doubt * doubt), self.delay_rate), bounds),
+            self._followed(ratio, known.ratio, known.ratio_valid, (self.ratio_rate,) * 2, ratios),
         )
         return (*[value for state in after for value in state], *found, since, 0.0 * standby, *believed)
 
     def _followed(
-        self, before: Scalar, value: Scalar, valid: Scalar, rate: float, bounds: tuple[float, float]
+        self, before: Scalar, value: Scalar, valid: Scalar, rates: tuple[Scalar, float], bounds: tuple[float, float]
     ) -> Scalar:
-        """What is believed a sample later."""
-        step = m.clip(m.clip(value, *bounds) - before, -rate * self.dt, rate * self.dt)
+        """What is believed a sample later; rates: the fastest of its fall and of its growth."""
+        step = m.clip(m.clip(value, *bounds) - before, -rates[0] * self.dt, rates[1] * self.dt)
         return before + m.where(m.both(valid > 0.5, m.is_finite(value)), step, 0.0)
 
     @staticmethod

@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 Matrices = Callable[[float], tuple[Any, Any]]
 """v [m/s] -> A (2, 2), B (2,) of (beta, r)' = A (beta, r) + B delta; `LinearSingleTrack.matrices` is one."""
 
-_STEP_OF_SLEW = 1.2  # step that costs 1, over what a slew allows in a sample
 _REACH = 0.5  # m: what a car with a slew is taken to be off at most
 _MOTION = 5  # e, theta, beta, r, delta
 _SLOWEST = 1.0  # m/s: below it, the gains stay and theta is formed with this speed
@@ -205,6 +204,7 @@ class Lqr(LimitedLaw):
         v_step: float = 0.5,
         slew: float | None = None,
         a_y_limit: float | None = None,
+        step_of_slew: float = 1.2,
         dt: float = DT,
         **sizes: float,
     ) -> Lqr:
@@ -212,7 +212,8 @@ class Lqr(LimitedLaw):
 
         delay, lag [s]: of the steering. v_max [m/s]: the fastest speed with gains of its own; it has to be no less
         than what will be driven. slew [m/s^3], a_y_limit [m/s^2]: of a car that is steered by torque; its steps cost
-        more, so that a slew which acts is the exception, and e counts up to 0.5 m only; None: without. sizes: e_size,
+        more, so that a slew which acts is the exception, and e counts up to 0.5 m only; None: without. step_of_slew: a
+        step that costs 1, over what the slew allows in one; the smaller, the slower the law. sizes: e_size,
         e_dot_size, step_size of `LqrDesign`.
         """
         geometry = cls.geometry(vehicle, "Lqr.of")
@@ -224,7 +225,7 @@ class Lqr(LimitedLaw):
         for v in speeds.tolist():
             if slew is not None:
                 fastest = slew * dt * (vehicle.wheelbase / v**2 + vehicle.understeer_gradient)
-                slow = replace(design, step_size=min(design.step_size, _STEP_OF_SLEW * fastest))
+                slow = replace(design, step_size=min(design.step_size, step_of_slew * fastest))
             rows.append(np.concatenate((design if slew is None else slow).gains(v, preview_points)))
         return cls(
             table=Table(np.array(rows)),

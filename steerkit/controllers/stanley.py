@@ -72,6 +72,8 @@ class Stanley(LimitedLaw):
     """Largest approach angle that the cross-track term may ask for [rad]."""
     share: Scalar = number(1.0, "1", above=0.0, high=1.0)
     """Share of what the law asks for beyond the path's own angle, (L + K v^2) kappa: < 1 where the wheel is slow."""
+    v_full: Scalar | None = number(None, "m/s", above=0.0)
+    """Speed above which that share falls as 1/v, as the car turns by more the faster it is [m/s]; None: nowhere."""
     mass: Scalar = number(0.0, "kg", low=0.0)
     """Car mass [kg]; 0 leaves out the curve offset psi_ss."""
     c_f: Scalar = number(1.0, "N/rad", above=0.0)
@@ -104,11 +106,12 @@ class Stanley(LimitedLaw):
         psi_ss = self.mass * v * r_path * (self.l_r / self.wheelbase) / self.c_f
         spare = possible(self, m.maximum(self.a_y_max - v * m.absolute(r_path), self.a_y_reserve))
         steepest = m.minimum(approach_angle(u.e, v, 0.5 * spare), self.approach_limit)
-        approach = m.clip(m.atan(self.k * u.e / (self.k_soft + v)), -steepest, steepest)
+        slower = 1.0 if self.v_full is None else self.v_full / m.maximum(v, self.v_full)
+        approach = m.clip(m.atan(self.k * slower * u.e / (self.k_soft + v)), -steepest, steepest)
         damping = self.k_d_yaw * (u.r - r_path) + self.k_d_steer * (u.delta_sw_meas / self.steer_ratio - x.delta_before)
         delta = -(u.psi_e - psi_ss) - approach - damping
         steady = (self.wheelbase + self.understeer * v * v) * u.kappa
-        delta = delta - (1.0 - self.share) * (delta - steady)
+        delta = delta - (1.0 - self.share * slower) * (delta - steady)
         return self.Y(limited(self, self.steer_ratio * delta, x.command, v, v * m.absolute(r_path)))
 
     @property

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 from steerkit._support.errors import check_numbers, known, number, require
 from steerkit._support.plugins import imported, is_outside
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.lqr import Lqr
+from steerkit.controllers.margins import Doubt, SteeredCar, least_damping
 from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import BEHIND_GATE, SafetyFilter
@@ -30,6 +32,7 @@ from steerkit.plants.single_track import Car, SingleTrack
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import GateModel
 
+_T = TypeVar("_T")
 _LONGEST = 2.0
 """Longest dead time that anything is made for [s]."""
 
@@ -99,17 +102,68 @@ _SOFT = {"share": 0.2, "k": 3.5, "k_soft": 15.0}
 (`benchmarks.plants.torque_car`), and with the gains of `stanley-delay`, which follow closer, they swing."""
 
 
+_DOUBT = Doubt(gain=1.35, delay=0.1)
+"""For what an adaptive controller of a car steered by torque has to hold: its gain is 1.3 to 2.3, by how much is asked
+of it (`benchmarks.plants.torque_car`), and what is found of it lies in between."""
+_DAMPED = 0.02
+"""Least damping ratio at the corners of that doubt [1]."""
+_HELD_AT = (5.0, 10.0, 20.0, 30.0)
+"""Speeds at which it has to be damped [m/s]."""
+_V_FULL = (None, 20.0, 14.0, 10.0, 7.0, 5.0, 3.5, 2.5)
+"""Stanley from fast to slow: see `Stanley.v_full` [m/s]."""
+_STEPS_OF_SLEW = (1.2, 0.6, 0.3, 0.15, 0.075, 0.0375)
+"""LQR from fast to slow: see `Lqr.of`."""
+
+
 def _soft(design_model: DesignModel) -> Block:
+    """Stanley behind a predictor; by torque the fastest that is damped at all corners of the doubt."""
     block: Any = _delayed(design_model)
-    return block if design_model.slew is None else replace(block, block=replace(block.block, **_SOFT))
+    if design_model.slew is None:
+        return block
+    law = replace(block.block, **_SOFT)
+
+    def slower(v_full: float | None) -> Block:
+        return replace(block, block=replace(law, v_full=v_full))
+
+    return slower(_fastest(_V_FULL, slower, design_model))
 
 
-def _lqr(design_model: DesignModel) -> Block:
+def _slow_lqr(design_model: DesignModel) -> Block:
+    """LQR; by torque the fastest that is damped at all corners of the doubt."""
+    if design_model.slew is None:
+        return _lqr(design_model)
+
+    def tried(step: float) -> Block:
+        return _lqr(design_model, step_of_slew=step, v_min=_HELD_AT[0], v_max=_HELD_AT[-1], v_step=_HELD_AT[0])
+
+    return _lqr(design_model, step_of_slew=_fastest(_STEPS_OF_SLEW, tried, design_model))
+
+
+_chosen: dict[Any, Any] = {}
+"""What `_fastest` has found, by what it was found for: the same car is asked for again and again."""
+
+
+def _fastest(numbers: Sequence[_T], make: Callable[[_T], Block], design_model: DesignModel) -> _T:
+    """The first of the numbers whose controller is damped at all corners of the doubt; the last, where none is."""
+    car, delay, lag = design_model.vehicle, design_model.delay, design_model.lag
+    known = (numbers, car, delay, lag, design_model.rate_limit, design_model.slew, design_model.a_y_limit)
+    if known not in _chosen:
+        steered = SteeredCar(vehicle=car, matrices=LinearSingleTrack(vehicle=car).matrices, delay=delay, lag=lag)
+
+        def holds(value: _T) -> bool:
+            return least_damping(make(value), steered, _DOUBT, _HELD_AT) >= _DAMPED
+
+        _chosen[known] = numbers[bisect_left(numbers[:-1], True, key=holds)]  # the slower, the better damped
+    return _chosen[known]
+
+
+def _lqr(design_model: DesignModel, **table: Any) -> Block:
+    """LQR; table: as of `Lqr.of`."""
     car = design_model.vehicle
     steering: dict[str, Any] = dict(
         delay=design_model.delay, lag=design_model.lag, slew=design_model.slew, a_y_limit=design_model.a_y_limit
     )
-    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, **steering)
+    block = Lqr.of(car, LinearSingleTrack(vehicle=car).matrices, **steering, **table)
     return replace(block, rate_limit=design_model.rate_limit)
 
 
@@ -146,8 +200,15 @@ def _offset_free(make: Callable[[DesignModel], Block], **settings: float) -> Cal
     )
 
 
-_DEAD_TIMES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-"""Dead times for which an adaptive controller is made [s]; a recovery controller has more where longer is told."""
+_DEAD_TIME, _LATE = 0.5, 0.8
+"""Longest dead time for which an adaptive controller is made, where none as long is told [s]; the second is that of
+recovery controllers and of cars steered by torque. Where a longer one is needed, they swing."""
+_ADAPTED_LAG = 0.1
+"""Lag for which an adaptive controller is made [s]. Of dead time and lag only the sum shows while driving: what is told
+of the lag is where the sum begins, and no number on which the drive hangs from then on."""
+_SURE = 0.015
+"""Deviation up to which an adaptive controller of a car steered by torque believes at once that its dead time is
+shorter [s]; a recovery, which is slower, always does."""
 _CAUTION = 0.1
 """By how much it begins with more than is believed [s]: too much costs little for a while, too little: it swings."""
 
@@ -161,24 +222,28 @@ the ratio that goes with it."""
 
 def _adaptive(make: Callable[[DesignModel], Block]) -> Callable[[DesignModel], Block]:
     """What makes a controller that adapts, of those that `make` makes."""
-    return lambda design_model: _adapting(make, design_model, _DEAD_TIMES)
+    return lambda design_model: _adapting(make, design_model)
 
 
 def _adapting(
     make: Callable[[DesignModel], Block],
     design_model: DesignModel,
-    delays: tuple[float, ...],
     *,
+    recovers: bool = False,
     takes_turns: bool = False,
 ) -> Adaptive:
-    car, prior = design_model.vehicle, min(design_model.delay, delays[-1])
+    told = design_model.delay + design_model.lag - _ADAPTED_LAG
+    least = _LATE if recovers or design_model.slew is not None else _DEAD_TIME
+    longest = max(least, min(told + _CAUTION, _LONGEST))
+    delays = tuple(i / 10.0 for i in range(math.ceil(10.0 * longest - 1e-6) + 1))
+    car, prior = design_model.vehicle, min(max(told, 0.0), delays[-1])
     return Adaptive(
-        blocks=tuple(make(replace(design_model, delay=delay)) for delay in delays),
+        blocks=tuple(make(replace(design_model, delay=delay, lag=_ADAPTED_LAG)) for delay in delays),
         delays=delays,
         delay=YawDelay(
             vehicle=car,
             prior_delay=prior,
-            prior_lag=max(design_model.lag, 0.01),
+            prior_lag=_ADAPTED_LAG,
             enough=0.05,
             longest=max(YawDelay.longest, delays[-1]),
         ),
@@ -186,7 +251,8 @@ def _adapting(
             vehicle=car, understeer_prior=_UNDERSTEER, longest=max(SingleTrackFilter.longest, delays[-1])
         ),
         prior_delay=min(prior + _CAUTION, delays[-1]),
-        lag=design_model.lag,
+        lag=_ADAPTED_LAG,
+        delay_sure=Adaptive.delay_sure if recovers or design_model.slew is None else _SURE,
         limit=car.delta_sw_max,
         takes_turns=takes_turns,
     )
@@ -215,8 +281,8 @@ CONTROLLERS: Mapping[str, ControllerSpec] = MappingProxyType(
         "stanley-offset-free": ControllerSpec("stanley-delay with integral action", _offset_free(_delayed)),
         "lqr-offset-free": ControllerSpec("LQR with integral action", _offset_free(_lqr)),
         "mpc-offset-free": ControllerSpec("linear MPC with integral action", _offset_free(_LINEAR_MPC)),
-        "stanley-adaptive": ControllerSpec("stanley-offset-free that adapts", _adaptive_offset_free(_delayed)),
-        "lqr-adaptive": ControllerSpec("lqr-offset-free that adapts", _adaptive_offset_free(_lqr)),
+        "stanley-adaptive": ControllerSpec("stanley-offset-free that adapts", _adaptive_offset_free(_soft)),
+        "lqr-adaptive": ControllerSpec("lqr-offset-free that adapts", _adaptive_offset_free(_slow_lqr)),
         "mpc-adaptive": ControllerSpec("mpc-offset-free that adapts", _adaptive_offset_free(_LINEAR_MPC)),
     }
 )
@@ -301,9 +367,7 @@ def make_recovery(name: str, design_model: DesignModel, *, alone: bool = False) 
     alone: without a learned one beside it, so that nobody else's commands need to be watched.
     """
     if known(name, RECOVERIES, "recovery") in (AUTO, ADAPTIVE):
-        longest = max(_DEAD_TIMES[-1], min(design_model.delay + _CAUTION, _LONGEST))
-        delays = tuple(i / 10.0 for i in range(math.ceil(10.0 * longest - 1e-6) + 1))
-        return _trimmed(_adapting(_soft, design_model, delays, takes_turns=not alone), design_model)
+        return _trimmed(_adapting(_soft, design_model, recovers=True, takes_turns=not alone), design_model)
     return make_controller(name, design_model)
 
 

@@ -38,6 +38,14 @@ def test_steer_damping_works_against_the_wheel_that_turns() -> None:
     assert damped.update(0.0, StanleyState(0.0, 0.0), signals, damped.Y(0.7)) == StanleyState(0.15, 0.7)
 
 
+def test_above_a_speed_it_corrects_the_less_the_faster_it_is() -> None:
+    fast = replace(OF_PASSAT, v_full=6.0, mass=0.0)
+    for signals in ({"psi_e": 0.01}, {"e": 0.02, "psi_e": 0.01}):
+        for v, slower in ((5.0, 1.0), (6.0, 1.0), (12.0, 0.5)):
+            as_slow = replace(fast, v_full=None, share=slower, k=slower * fast.k)
+            assert steered(fast, v=v, **signals) == pytest.approx(steered(as_slow, v=v, **signals))
+
+
 def test_a_share_of_it_corrects_less_and_holds_the_same_bend() -> None:
     half = replace(OF_PASSAT, share=0.5)
     assert steered(half, e=0.1, psi_e=0.02) == pytest.approx(0.5 * steered(OF_PASSAT, e=0.1, psi_e=0.02))

@@ -13,9 +13,11 @@ from steerkit.car.config import load, shipped
 from steerkit.car.loop import controller_named, design_model_of
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import DelayPredictor
+from steerkit.controllers.margins import Doubt, SteeredCar, least_damping
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
+from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.scenario import Scenario, catalogue
 from steerkit.scenario.catalogue import CONTROLLERS, DesignModel, make_controller, make_element, make_recovery
 from steerkit.vehicles import vehicle
@@ -137,24 +139,53 @@ def test_the_adapting_recovery_hears_what_others_steer_and_winds_up_nothing_mean
 
 
 def test_the_fitting_recovery_adapts_and_is_softer_where_torque_steers() -> None:
-    by_angle = make_recovery("auto", replace(BELIEF, delay=0.15))
+    by_angle = make_recovery("auto", replace(BELIEF, delay=0.15, lag=0.1))
     by_torque = make_recovery("auto", replace(BELIEF, delay=0.0, slew=5.0, a_y_limit=3.0))
     assert isinstance(by_angle, Adaptive)
     assert isinstance(by_torque, Adaptive)
-    assert (by_angle.delays, by_angle.prior_delay) == ((0.0, 0.1, 0.2, 0.3, 0.4, 0.5), 0.25)
+    assert (by_angle.delays, by_angle.prior_delay) == (tuple(i / 10.0 for i in range(9)), 0.25)
     assert {one.block.share for one in by_angle.blocks} == {1.0}  # type: ignore[attr-defined]
     assert {(one.model.slew, one.block.share) for one in by_torque.blocks} == {(5.0, 0.2)}  # type: ignore[attr-defined]
     alone = make_recovery("auto", BELIEF, alone=True)
     assert "doe" not in {port.name for port in alone.inputs}, "there is nobody else whose commands it should watch"
 
 
-@pytest.mark.parametrize(("delay", "longest"), [(0.4, 0.5), (0.41, 0.6), (0.8, 0.9), (2.0, 2.0)])
+@pytest.mark.parametrize(("delay", "longest"), [(0.4, 0.8), (0.71, 0.9), (0.8, 0.9), (2.0, 2.0)])
 def test_the_recovery_is_made_for_a_longer_dead_time_than_is_believed(delay: float, longest: float) -> None:
-    block = make_recovery("auto", replace(BELIEF, delay=delay))
+    block = make_recovery("auto", replace(BELIEF, delay=delay, lag=0.1))
     assert isinstance(block, Adaptive)
     assert block.delays[-1] == pytest.approx(longest)
     assert block.prior_delay == pytest.approx(min(delay + 0.1, 2.0))
     assert min(block.delay.longest, block.steering.longest) >= longest - 1e-9
+
+
+@pytest.mark.parametrize("name", ["stanley-adaptive", "lqr-adaptive", "auto"])
+def test_what_is_told_of_the_lag_is_where_an_adaptive_controller_begins_and_nothing_else(name: str) -> None:
+    make = make_recovery if name == "auto" else make_controller
+    one, other = (make(name, replace(BELIEF, delay=0.2, lag=lag)) for lag in (0.02, 0.2))
+    assert isinstance(one, Adaptive)
+    assert isinstance(other, Adaptive)
+    assert (one.prior_delay, other.prior_delay) == (pytest.approx(0.22), pytest.approx(0.4))
+    begins = dict(prior_delay=0.1, delay=replace(one.delay, prior_delay=0.1))
+    assert parameters(replace(one, **begins)) == parameters(replace(other, **begins))
+
+
+def test_by_torque_the_fastest_law_is_taken_that_is_damped_at_all_corners_of_the_doubt() -> None:
+    belief = replace(BELIEF, delay=0.5, lag=0.1, slew=5.0, a_y_limit=3.0)
+    car = SteeredCar(
+        vehicle=belief.vehicle, matrices=LinearSingleTrack(vehicle=belief.vehicle).matrices, delay=0.5, lag=0.1
+    )
+
+    def damped(block: Any) -> float:
+        return least_damping(block, car, Doubt(gain=1.35, delay=0.1), (5.0, 10.0, 20.0, 30.0))
+
+    recovery: Any = make_recovery("auto", belief)
+    law = recovery.blocks[5]
+    assert damped(law) >= 0.02
+    assert damped(replace(law, block=replace(law.block, v_full=None))) < 0.02
+    lqr: Any = make_controller("lqr-adaptive", belief)
+    assert damped(lqr.blocks[5].block) >= 0.02
+    assert damped(make_controller("lqr", belief)) < 0.0, "made for what is told alone"
 
 
 # ---- a user's own -----------------------------------------------------------------------------------------------

@@ -1,0 +1,90 @@
+"""Poles and margins of a steering law's loop, against closed forms and python-control."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+from steerkit.analysis import margins as margins_of
+from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.lqr import Lqr, LqrDesign
+from steerkit.controllers.margins import Doubt, SteeredCar, damping, least_damping, linearised, margins
+from steerkit.controllers.stanley import Stanley
+from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.vehicles import VW_PASSAT as PASSAT
+
+MATRICES = LinearSingleTrack(vehicle=PASSAT).matrices
+CAR = SteeredCar(vehicle=PASSAT, matrices=MATRICES, delay=0.2, lag=0.1)
+STEERING: dict[str, Any] = dict(delay=0.2, lag=0.1)
+LQR = Lqr.of(PASSAT, MATRICES, **STEERING, v_min=5.0, v_max=20.0, v_step=5.0)
+
+
+@pytest.mark.parametrize("v", [5.0, 10.0, 20.0])
+def test_on_the_car_it_was_made_for_an_lqr_has_the_poles_of_its_riccati_solution(v: float) -> None:
+    design = LqrDesign(matrices=MATRICES, reference=PASSAT.l_f, **STEERING)
+    a, b, _ = design.model(v)
+    z = np.linalg.eigvals(a - np.outer(b, design.gains(v, 24)[0]))
+    s = np.log(z[np.abs(z) > 1e-6].astype(complex))
+    assert damping(linearised(LQR, v), CAR, v, LQR.dt) == pytest.approx(float(np.min(-s.real / np.abs(s))), rel=1e-3)
+
+
+@pytest.mark.parametrize("block", [LQR, delayed_stanley(PASSAT, **STEERING)])
+def test_margins_are_those_of_python_control(block: Any) -> None:
+    v = 10.0
+    law = linearised(block, v)
+    a, b, rows = CAR.system(v, block.dt)
+    seen = np.array([rows[name] for name in law.inputs])
+    car = control.ss(a, b[:, None], seen, 0.0, block.dt)
+    opened = control.ss(law.a, law.b, -law.c[None], -law.d[None], block.dt) * car
+    expected, found = margins_of(opened), margins(law, CAR, v, block.dt)
+    assert (found.gain, found.phase, found.delay) == pytest.approx(
+        (expected.gain, expected.phase, expected.delay), rel=0.04
+    )
+
+
+def test_a_loop_swings_beyond_its_margins_and_not_before() -> None:
+    law = linearised(LQR, 10.0)
+    found = margins(law, CAR, 10.0, LQR.dt)
+
+    def damped(gain: float = 1.0, later: float = 0.0) -> float:
+        return damping(law, replace(CAR, gain=gain, delay=CAR.delay + later), 10.0, LQR.dt)
+
+    assert damped(gain=0.96 * found.gain) > 0.0 > damped(gain=1.04 * found.gain)
+    assert damped(later=0.96 * found.delay) > 0.0 > damped(later=1.04 * found.delay)
+    assert margins(law, replace(CAR, gain=1.04 * found.gain), 10.0, LQR.dt) == (1.0, 0.0, 0.0)
+
+
+def test_the_corners_of_a_doubt_are_both_gains_at_both_delays_and_none_acts_before_its_command() -> None:
+    early = replace(CAR, delay=0.05).corners(Doubt(gain=1.25, delay=0.1))
+    assert [(car.gain, car.delay) for car in early] == [
+        (0.8, 0.0),
+        (0.8, pytest.approx(0.15)),
+        (1.25, 0.0),
+        (1.25, pytest.approx(0.15)),
+    ]
+    least = [damping(linearised(LQR, 10.0), car, 10.0, LQR.dt) for car in CAR.corners(Doubt())]
+    assert least_damping(LQR, CAR, Doubt(), [10.0]) == min(least)
+    assert least_damping(LQR, CAR, Doubt(gain=1.0, delay=0.0), [10.0]) > min(least)
+
+
+def test_a_law_without_prediction_swings_where_the_same_with_it_does_not() -> None:
+    sure = Doubt(gain=1.0, delay=0.0)
+    law = replace(Stanley.of(PASSAT), k=3.0, k_d_yaw=0.0, k_d_steer=0.0)
+    assert (
+        least_damping(law, CAR, sure, [10.0])
+        < 0.0
+        < least_damping(delayed_stanley(PASSAT, **STEERING), CAR, sure, [10.0])
+    )
+
+
+def test_what_has_no_model_is_named() -> None:
+    from steerkit.controllers.safety_filter import SafetyFilter
+
+    with pytest.raises(ValueError, match=r"SafetyFilter needs .*, which has no model here"):
+        linearised(SafetyFilter.of(PASSAT, delay=0.1, lag=0.1, rate_limit=5.0), 5.0)
+    with pytest.raises(ValueError, match=r"gain = 0.5 \[1\], expected 1 to 10"):
+        Doubt(gain=0.5)
+    assert math.isfinite(least_damping(LQR, CAR, Doubt(), [5.0]))
