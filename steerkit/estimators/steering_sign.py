@@ -21,14 +21,13 @@ _MISFIT = 0.05
 """This share of the answer's variance no model explains: dead times between samples, tyres, a motor's lag [1]."""
 _GAINS = 0.4, 2.5
 """An answer may be so much smaller or larger than expected [1]."""
+_SIGNS = np.array([[1.0], [-1.0]])
 _MOST = 4.0
 """Lateral acceleration beyond which tyres and motors no longer answer in proportion [m/s^2]."""
 _SLOWEST = 0.5
 """Speed below which nothing is learned [m/s]."""
 _LONGEST = 2.0, 0.6, 0.3
 """Dead times of wheel, yaw rate and heading [s]."""
-_EVERY = 4
-"""Samples after which the evidence is computed, which takes longer than adding them."""
 
 
 class SignTest:
@@ -71,12 +70,9 @@ class SignTest:
         weight, y, yy = self._of_y
         x, xx, xy = self._of_x
         yy, xx, xy = yy - y * y / weight, np.maximum(xx - x * x / weight, 1e-12), xy - x * y / weight
-        ratio = xy / xx
-        right, wrong = (
-            max(0.0, float((yy + xx * gain * (gain - 2.0 * sign * ratio)).min()))
-            for sign in (1.0, -1.0)
-            for gain in (np.clip(sign * ratio, *_GAINS),)
-        )
+        ratio = _SIGNS * (xy / xx)
+        gain = np.minimum(np.maximum(ratio, _GAINS[0]), _GAINS[1])
+        right, wrong = np.maximum((yy + xx * gain * (gain - 2.0 * ratio)).min(axis=1), 0.0).tolist()
         return (right - wrong) / (min(right, wrong) + _MISFIT * float(yy) + _NOISE**2 * _MEMORY)
 
 
@@ -91,7 +87,7 @@ class SteeringSigns:
     def __init__(self, car: Rollout, dt: float = DT):
         self._car, self._dt = car, dt
         self._tests = [SignTest(longest, dt) for longest in _LONGEST]
-        self._t, self._psi, self._unread = -math.inf, math.nan, 0
+        self._t, self._psi = -math.inf, math.nan
         self.evidence, self._certain = [0.0] * 3, [0.0] * 3
 
     def forget(self) -> None:
@@ -100,8 +96,7 @@ class SteeringSigns:
         self.evidence[0] = self._certain[0] = 0.0
 
     def add(self, t: float, *, command: float, wheel: float, v: float, r: float, psi: float) -> None:
-        """What is known at time t [s, rad, m/s, rad/s]; command: NaN while none acts. One sample in dt is used, and
-        after every fourth the evidence is computed."""
+        """What is known at time t [s, rad, m/s, rad/s]; command: NaN while none acts. One sample in dt is used."""
         dt = t - self._t
         if dt < self._dt - 1e-6:
             return
@@ -121,9 +116,6 @@ class SteeringSigns:
             motor.forget()
         sensor.add(wheeled, r)
         gyro.add(r, turn)
-        self._unread = (self._unread + 1) % _EVERY
-        if self._unread:
-            return
         self.evidence = [test.evidence for test in self._tests]
         self._certain = [new if abs(new) >= CLEAR else old for new, old in zip(self.evidence, self._certain)]
 
