@@ -121,14 +121,16 @@ class SafetyFilter(Block):
     a second. What was found safe with a narrow doubt holds only while that doubt bounds the errors.
 
     Where the yaw rate proves these doubts too small, the model moves. p_k is what its yaw rate would be if commands
-    arrived k samples later than believed, up to `later` and the doubt; p_k and r are compared without their averages:
+    arrived k samples later than believed, up to `later` and the doubt; p_k and r are compared without their averages,
+    in the mean < > over 2 s, with a g free within 1 +- widest ratio_doubt:
 
-        J_k(g) = <(r - g p_k)^2>,   g free within 1 +- widest ratio_doubt,   <.> averages over 2 s
+        J_k(g) = <(r - g p_k)^2>
         late    = dt argmin_k J_k     once 2 min_k J_k + (yaw_doubt/2)^2 < J_k of all k that late and delay_doubt allow
-        widened = sqrt(min_k J_k(1) / <(yaw_doubt + ratio_doubt |r - r_slow|)^2>),   1 to `widest`, falls within 15 s
+        widened = sqrt(min_k J_k(1)/allowed),   allowed = <(yaw_doubt + ratio_doubt |r - r_slow|)^2>
 
-    Where late moves, the plan is dropped: it was safe for another car. Until a car has been steered for about half a
-    second nothing is proven. Commands that arrive sooner than believed are not noticed.
+    with widened within 1 and `widest`; it falls within 15 s. Where late moves, the plan is dropped: it was safe for
+    another car. Until a car has been steered for about half a second nothing is proven. Commands that arrive sooner
+    than believed are not noticed.
 
     Guarantee: while the true car stays between the pushed ones, one that got a command with reach <= bound has
     |e| <= bound for `horizon` from then on, since after it either another such command is sent, or that one is held
