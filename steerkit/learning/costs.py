@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from steerkit.controllers.policy import DOE, R_E, E, V
 from steerkit.diagram import maths as m
 from steerkit.task import DT, GOAL, TRIP
 
+_WELL = 25.0
+"""Width of a well over the median |e| of the driving [1]: with sensors as in `hard` conditions, the widest."""
 Costs = tuple[NDArray[np.float64], NDArray[np.bool_]]
 Array = NDArray[np.float64]
 
@@ -84,12 +86,18 @@ class TanhCost(_Limits):
         c = step * tanh^2(e * w) + action_cost * p(a),   w = atanh(sqrt(0.95)) / goal;   1, terminal, if |e| > trip
         p(a) = min(1, |a|/action_unit),   or [a != 0] where action_unit is 0
 
-    so that 95 % of `step` is reached at |e| = goal. A policy with actions between those of the set moves the wheel in
-    every sample: at [a != 0] that adds up to action_cost/(1 - discount), and where this nears 1, failing costs no more
-    than driving and nothing is learned. Source: Hafner and Riedmiller 2011 (Reinforcement learning in
-    feedback control), section 4.3, the tanh^2 cost with band width mu = goal; action_cost is ours.
-    Raises ValueError as `BandCost`, or unless 0 <= action_cost <= 1 - step.
+    so that 95 % of `step` is reached at |e| = goal. With a `goal_least` the well is as wide as the driving is good (see
+    `narrowed`): where sensors and car let e be small, the net is told to make it smaller still.
+
+    A policy with actions between those of the set moves the wheel in every sample: at [a != 0] that adds up to
+    action_cost/(1 - discount), and where this nears 1, failing costs no more than driving and nothing is learned.
+    Source: Hafner and Riedmiller 2011 (Reinforcement learning in feedback control), section 4.3, the tanh^2 cost with
+    band width mu = goal; action_cost and goal_least are ours.
+    Raises ValueError as `BandCost`, or unless 0 <= action_cost <= 1 - step and goal_least <= goal.
     """
+
+    goal_least: float = number(0.0, "m", low=0.0)
+    """Narrowest `goal` [m]; 0: it stays as it is."""
 
     step: float = number(0.04, above=0.0, high=1.0)
     """Cost of a step far from the path."""
@@ -102,6 +110,14 @@ class TanhCost(_Limits):
         super().__post_init__()
         fits = 0.0 <= self.action_cost <= 1.0 - self.step
         require(fits, "TanhCost", f"action_cost = {self.action_cost}, expected 0 <= action_cost <= 1 - step")
+        narrow, wide = self.goal_least, self.goal
+        require(narrow <= wide, "TanhCost", f"goal_least = {narrow}, goal = {wide} [m], expected goal_least <= goal")
+
+    def narrowed(self, e: Array) -> TanhCost:
+        """The cost with goal = _WELL median |e| of driving e (n,) [m], within goal_least and goal."""
+        if not self.goal_least or not len(e):
+            return self
+        return replace(self, goal=float(np.clip(_WELL * np.median(np.abs(e)), self.goal_least, self.goal)))
 
     def steps(self, e: Array, a: Array) -> Array:
         well = m.tanh(e * (math.atanh(math.sqrt(0.95)) / self.goal)) ** 2

@@ -38,7 +38,9 @@ class Setting:
     doe: str = "integrator"
     """Output element: `integrator`, `low-pass` or `plain`; or one of your own, `my_file.py:Class`: see
     `steerkit.scenario.catalogue.make_element`."""
-    cost: Cost = field(default_factory=lambda: TanhCost(goal=0.15, action_cost=0.025, action_unit=radians_of(25.0)))
+    cost: Cost = field(
+        default_factory=lambda: TanhCost(goal=0.15, goal_least=0.05, action_cost=0.025, action_unit=radians_of(25.0))
+    )
     """Cost of a transition: see `steerkit.learning.costs`."""
     # Measured model-free (8 seeds, clean, 2.5 min): one iteration every 10 to 30 m beats two every 60 m (GOOD after 47
     # to 63 s); 600 epochs, 4 steps, 20-20 nets: no gain.

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import NamedTuple
 
@@ -18,13 +18,15 @@ from steerkit.controllers.delay_compensator import LONGEST, PREVIEW, DelayCompen
 from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, NfqPolicy, combined
 from steerkit.controllers.policy import ACTION, DOE, E, V
 from steerkit.controllers.state_description import StateDescription
-from steerkit.learning.costs import Cost, Costs
+from steerkit.learning.costs import Cost, Costs, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import process_of
 from steerkit.learning.nfq.model import CarModel, Imagined, earlier_doe, imagine, near_path
 from steerkit.learning.nfq.rprop import Net, engine_of, fit, new_net, predictor, sizes_of
 from steerkit.task import DT, RELEASE
 
+NEWEST = 600
+"""Samples by which it is judged how good the driving is: 30 s."""
 TRIALS = 40
 """Drives on the learned car by which a net is judged."""
 FAR = 8
@@ -273,6 +275,8 @@ def iterate(
     require(fits, where, f"nets_before of layouts {layouts}, expected {problem.sizes}")
     if setting.imagined and model is None:
         model = CarModel.fit(transitions, problem.description)
+    if isinstance(problem.cost, TanhCost):
+        problem = replace(problem, cost=problem.cost.narrowed(transitions.s[-NEWEST:, E]))
     nets: Nets = tuple(nets_before)
     size = 2 if setting.symmetric else 1
     members = [nets[i : i + size] for i in range(0, len(nets), size)]

@@ -32,6 +32,16 @@ def test_tanh_cost_by_hand() -> None:
     assert (shares - c) == pytest.approx([0.005, 0.005, 0.01, 0.01, 0.0])
 
 
+def test_a_well_is_as_wide_as_the_driving_is_good() -> None:
+    cost = TanhCost(goal=0.15, goal_least=0.05)
+    for e, goal in ((0.001, 0.05), (0.004, 0.1), (0.02, 0.15)):
+        assert cost.narrowed(np.array([e, -e, 3.0 * e, 0.0, e])).goal == pytest.approx(goal)
+    assert TanhCost(goal=0.15).narrowed(np.zeros(3)).goal == 0.15
+    assert cost.narrowed(np.zeros(0)) is cost
+    with pytest.raises(ValueError, match="goal_least <= goal"):
+        TanhCost(goal=0.1, goal_least=0.2)
+
+
 def test_smooth_cost_by_hand() -> None:
     """5 m/s: 0.05 rad/s more yaw rate in 0.05 s is a jerk of 5 m/s^3."""
     cost = SmoothCost(cost=TanhCost(action_cost=0.0), jerk_cost=0.01, jerk_unit=10.0, wheel_cost=0.02, wheel_unit=0.4)
