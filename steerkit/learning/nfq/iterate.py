@@ -21,7 +21,7 @@ from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.costs import Cost, Costs, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import process_of
-from steerkit.learning.nfq.model import CarModel, Imagined, earlier_doe, imagine, near_path
+from steerkit.learning.nfq.model import CarModel, Explained, Imagined, explained, imagine, near_path
 from steerkit.learning.nfq.rprop import Net, engine_of, fit, new_net, predictor, sizes_of
 from steerkit.task import DT, RELEASE
 
@@ -280,8 +280,9 @@ def iterate(
     nets: Nets = tuple(nets_before)
     size = 2 if setting.symmetric else 1
     members = [nets[i : i + size] for i in range(0, len(nets), size)]
+    known = None if model is None else explained(model, transitions)
     for iteration in range(setting.iterations):
-        x, y = _patterns(problem, transitions, nets, model, [seed, iteration])
+        x, y = _patterns(problem, transitions, nets, model, [seed, iteration], known)
         starts = [new_net(problem.sizes, [seed, iteration, 1 + k]) for k in range(setting.nets)]
         new: list[Nets] = [(net,) for net in _fit_all(starts, x, y, setting.epochs)]
         if setting.symmetric:
@@ -289,25 +290,29 @@ def iterate(
         nets = tuple(chain.from_iterable(new))
         members += new
     if model is not None:
-        costs = trial_costs(problem, model, transitions, members, np.random.default_rng([seed, 2_000_003]))
+        costs = trial_costs(problem, model, transitions, members, np.random.default_rng([seed, 2_000_003]), known)
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets
 
 
 def trial_costs(
-    problem: Problem, model: CarModel, record: Transitions, members: Sequence[Nets], rng: np.random.Generator
+    problem: Problem,
+    model: CarModel,
+    record: Transitions,
+    members: Sequence[Nets],
+    rng: np.random.Generator,
+    known: Explained | None = None,
 ) -> NDArray[np.float64]:
     """Mean cost of a sample (members,) with each member of an ensemble alone at the wheel of the learned car.
 
     TRIALS drives of TRIAL samples, or until they fail, which costs 1 a sample from then on. All members meet the same:
     what the model left unexplained of the record (noise, bends, changes of speed), in the order in which it was
-    recorded. The learned car has no dead time, and the noise of a forecast over it is left out.
+    recorded. The learned car has no dead time, and the noise of a forecast over it is left out. known: `explained` of
+    model and record.
     """
     policy = NfqPolicy(actions=tuple(problem.actions), continuous=problem.continuous)
     order = np.argsort(np.abs(problem.actions), kind="stable")
-    before, felt = earlier_doe(record), model.felt(record)
-    unexplained = record.s_next - model.step(record.s, record.a, before, felt)
-    near = near_path(record)
+    near, (before, felt, unexplained) = near_path(record), known or explained(model, record)
     place = rng.integers(len(near), size=TRIALS)
     s, earlier = record.s[near[place]].copy(), before[near[place]]
     s[:, E] = 0.0
@@ -332,7 +337,12 @@ def trial_costs(
 
 
 def _patterns(
-    problem: Problem, transitions: Transitions, nets: Nets, model: CarModel | None, seed: list[int]
+    problem: Problem,
+    transitions: Transitions,
+    nets: Nets,
+    model: CarModel | None,
+    seed: list[int],
+    known: Explained | None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """What a fit learns: patterns and targets of recorded transitions, of hints, and of imagined ones."""
     setting, description = problem.fit, problem.description
@@ -342,7 +352,7 @@ def _patterns(
     y = [targets(problem, recent, nets), np.zeros(len(hints), dtype=np.float32)]
     if model is not None:
         rng = np.random.default_rng([*seed, 1_000_003])
-        near = imagine(model, transitions, description, setting.imagined, rng)
+        near = imagine(model, transitions, description, setting.imagined, rng, known)
         a = rng.choice(np.array(problem.actions), setting.imagined) / description.excess(near.s[:, V]) ** 2
         x.append(problem.patterns(near.s, a))
         y.append(imagined_targets(problem, model, near, a, nets))

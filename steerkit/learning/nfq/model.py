@@ -264,20 +264,42 @@ class Imagined:
     """Of a car that feels another angle than the wheel's."""
 
 
+class Explained(NamedTuple):
+    """What a model makes of a record, row by row."""
+
+    earlier: Array
+    """doe one sample before (n,) [rad]."""
+    felt: Felt | None
+    """The angles that the car felt; None: the wheel's."""
+    residual: Array
+    """What came otherwise than the model foresees it (n, columns): noise, bends, changes of speed."""
+
+
+def explained(model: CarModel, record: Transitions) -> Explained:
+    """What the model makes of the record."""
+    earlier, felt = earlier_doe(record), model.felt(record)
+    return Explained(earlier, felt, record.s_next - model.step(record.s, record.a, earlier, felt))
+
+
 def imagine(
-    model: CarModel, record: Transitions, description: StateDescription, count: int, rng: np.random.Generator
+    model: CarModel,
+    record: Transitions,
+    description: StateDescription,
+    count: int,
+    rng: np.random.Generator,
+    known: Explained | None = None,
 ) -> Imagined:
     """`count` states: recorded ones, mirrored at random, at another speed, moved a little, in another steady bend.
 
     Those recorded under the recovery controller count within TRIP of the path: further off the learner never steers.
     The speed is drawn from the recorded range, a quarter wider at either end; e, the heading, r_e and doe are moved by
     SPREAD of the description's half ranges, mostly less; the steady bend is drawn from all that the wheel can steer.
+    known: `explained` of the two, which need not be computed again then.
     """
-    near = near_path(record)
+    near, (earlier, felt, residual) = near_path(record), known or explained(model, record)
     row = near[rng.integers(len(near), size=count)]
     signs = np.where(np.array(description.mirror_signs) < 0.0, rng.choice([-1.0, 1.0], count)[:, None], 1.0)
-    earlier, felt = earlier_doe(record), model.felt(record)
-    s, residual = record.s[row] * signs, (record.s_next - model.step(record.s, record.a, earlier, felt))[row]
+    s = record.s[row] * signs
     back = (earlier[row] - record.s[row, DOE]) * signs[:, DOE]
     if felt is not None:
         felt = felt.part(row, signs[:, DOE]).shifted(-s[:, DOE])
@@ -297,9 +319,8 @@ def imagine(
     bend = rng.uniform(-model.limit, model.limit, count) / excess**2
     s[:, PSI_E] -= model.ratio(speed(s)) * (bend - s[:, DOE] - shift[:, DOE])
     s[:, DOE] = bend
-    return Imagined(
-        s=s, earlier=bend + back, residual=residual * signs, felt=None if felt is None else felt.shifted(bend)
-    )
+    felt = felt and felt.shifted(bend)
+    return Imagined(s=s, earlier=bend + back, residual=residual[row] * signs, felt=felt)
 
 
 def near_path(record: Transitions) -> NDArray[np.intp]:
