@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from steerkit._support.errors import number, require, require_within
 from steerkit.diagram import maths as m
@@ -18,6 +18,23 @@ from steerkit.task import STOP
 
 _EVERY = 5.0
 """Samples after which the estimate of the dead time is read again: its fits take longer than all the rest."""
+
+
+class _Own(NamedTuple):
+    """The last entries of the state."""
+
+    delay_lag: Scalar
+    """Dead time and lag as last read [s]; its deviation [s]; was it valid?"""
+    deviation: Scalar
+    valid: Scalar
+    since: Scalar
+    """Samples since then."""
+    standby: Scalar
+    """Did another controller steer?"""
+    delay: Scalar
+    """What is believed: dead time [s] ..."""
+    ratio: Scalar
+    """... and ratio over the data sheet's [1]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -116,12 +133,13 @@ class Adaptive(Block):
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         inner = [value for block in (*self.blocks, self.delay, self.steering) for value in block.init(batch)]
-        own = (0.0, 0.0, 0.0, _EVERY, 0.0, self.prior_delay, 1.0)
+        own = _Own(0.0, 0.0, 0.0, since=_EVERY, standby=0.0, delay=self.prior_delay, ratio=1.0)
         return (*inner, *[m.filled(value, batch) for value in own])
 
     def believed(self, x: State) -> tuple[Scalar, Scalar]:
         """Dead time [s] and steering ratio over the data sheet's [1] that it believes in state `x`."""
-        return x[-2], x[-1]
+        own = _own(x)
+        return own.delay, own.ratio
 
     def on_standby(self, x: State, settled: State) -> State:
         """The state `settled` with the estimates and beliefs of `x`, for a sample in which another controller steered.
@@ -131,23 +149,25 @@ class Adaptive(Block):
         """
         first = self._parts[len(self.blocks)][1]
         kept = x[first:] if all(map(math.isfinite, x[first:])) else settled[first:]
-        return (*settled[:first], *kept[:-3], 1.0, *kept[-2:])
+        return (*settled[:first], *kept[: -len(_Own._fields)], *_own(kept)._replace(standby=1.0))
 
-    def _read(self, t: Any, x: State, state: State) -> tuple[State, Scalar]:
-        """Dead time and lag, their deviation and whether they are valid, read anew where that is due; samples since."""
-        due = x[-4] >= _EVERY
-        if due is False:
-            return x[-7:-4], x[-4] + 1.0
-        found = self.delay.output(t, state, ())
-        new = found.delay_lag, found.delay_lag_deviation, found.delay_lag_valid
-        return tuple([m.where(due, now, old) for now, old in zip(new, x[-7:-4])]), m.where(due, 1.0, x[-4] + 1.0)
+    def _read(self, t: Any, own: _Own, state: State) -> _Own:
+        """`own` with what `delay` says of dead time and lag, where that is due."""
+        due = own.since >= _EVERY
+        if due is not False:
+            y = self.delay.output(t, state, ())
+            read = own._replace(
+                delay_lag=y.delay_lag, deviation=y.delay_lag_deviation, valid=y.delay_lag_valid, since=0.0
+            )
+            own = _Own(*[m.where(due, now, old) for now, old in zip(read, own)])
+        return own._replace(since=own.since + 1.0)
 
     def settle(self, t: float, x: State, u: Any) -> State:
         states = self._states(x)
         settled = [
             value
             for block, state in zip(self.blocks, states)
-            for value in block.settle(t, state, self._seen(block, block.D, u, x[-1]))
+            for value in block.settle(t, state, self._seen(block, block.D, u, _own(x).ratio))
         ]
         return (*settled, *x[len(settled) :])
 
@@ -166,15 +186,14 @@ class Adaptive(Block):
         return nearest._replace(delta_sw=command)  # type: ignore[union-attr]
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        standby, delay, ratio = x[-3:]
         states = self._states(x)
-        own = y._replace(delta_sw=y.delta_sw / ratio)
+        own = self._read(t, _own(x), states[-2])
+        standby, ratio = own.standby, own.ratio
+        sheet = y._replace(delta_sw=y.delta_sw / ratio)
         after = [
-            block.update(t, state, self._seen(block, block.U, u, ratio), own)
+            block.update(t, state, self._seen(block, block.U, u, ratio), sheet)
             for block, state in zip(self.blocks, states)
         ]
-        found, since = self._read(t, x, states[-2])
-        both, deviation, valid = found
         known = self.steering.output(t, states[-1], ())
         sent = u.doe if self.takes_turns else y.delta_sw
         after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - standby, u.r, u.v), ()))
@@ -183,18 +202,20 @@ class Adaptive(Block):
         steep = m.tan(sent / n)
         lever = car.l_r / car.wheelbase * steep  # tan(beta): v is that of the centre of gravity
         bent = n * steep / m.sqrt(1.0 + lever * lever)
-        dead, late = both - self.lag, self.dt if self.takes_turns else 0.0
+        dead, late = own.delay_lag - self.lag, self.dt if self.takes_turns else 0.0
         step = m.absolute(bent - states[-1][0])  # the filter's state begins with the angle of a sample before
         followed = m.where(m.both(step <= self.delay.rate_limit * self.dt, standby < 0.5), 1.0, 0.0)
-        watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, deviation, followed)
+        watched = self.steering.U(bent, u.v, u.r, math.nan, dead, self.lag, own.deviation, followed)
         after.append(self.steering.update(t, states[-1], watched, known))
         bounds, ratios = (self.delays[0], self.delays[-1]), (self.ratio_least, self.ratio_most)
-        doubt = m.maximum(deviation / self.delay_sure, 1.0)
-        believed = (
-            self._followed(delay, dead + late, valid, (self.delay_rate / (doubt * doubt), self.delay_rate), bounds),
-            self._followed(ratio, known.ratio, known.ratio_valid, (self.ratio_rate,) * 2, ratios),
+        doubt = m.maximum(own.deviation / self.delay_sure, 1.0)
+        rates = self.delay_rate / (doubt * doubt), self.delay_rate
+        own = own._replace(
+            standby=0.0 * standby,
+            delay=self._followed(own.delay, dead + late, own.valid, rates, bounds),
+            ratio=self._followed(ratio, known.ratio, known.ratio_valid, (self.ratio_rate,) * 2, ratios),
         )
-        return (*[value for state in after for value in state], *found, since, 0.0 * standby, *believed)
+        return (*[value for state in after for value in state], *own)
 
     def _followed(
         self, before: Scalar, value: Scalar, valid: Scalar, rates: tuple[Scalar, float], bounds: tuple[float, float]
@@ -220,3 +241,8 @@ class Adaptive(Block):
         if "delta_sw_meas" in values:
             values["delta_sw_meas"] = values["delta_sw_meas"] / ratio
         return ports(**values)
+
+
+def _own(x: State) -> _Own:
+    """The last entries of a state of `Adaptive`, whose others are those of its blocks."""
+    return _Own._make(x[-len(_Own._fields) :])

@@ -42,8 +42,37 @@ _NOTICED = 2.0
 """Time over which the yaw rate is compared with what each dead time would have made of the commands [s]."""
 _FORGETS = 15.0
 """Time in which a doubt that was widened narrows again [s]."""
-_LATE, _WIDENED, _BANK = 8, 9, 15
-"""Where the state has the samples that commands arrive later than believed, the factor on `ratio_doubt`, the bank."""
+
+
+class _Known(NamedTuple):
+    """The state before the bank and the commands on their way."""
+
+    r_model: Scalar
+    """What the model makes of the measured wheel [rad/s]."""
+    wrong: Scalar
+    r_slow: Scalar
+    wheel_before: Scalar
+    plan: Scalar
+    """The command that was found safe last, less the path's own angle [rad]."""
+    hold: Scalar
+    """Samples for which it is to be held."""
+    wrong_slow: Scalar
+    wrong_square: Scalar
+    late: Scalar
+    """Samples that commands arrive later than believed."""
+    widened: Scalar
+    wheel: Scalar
+    """As commanded [rad]."""
+    r_sent: Scalar
+    """p_0 [rad/s], and its average."""
+    r_sent_slow: Scalar
+    square: Scalar
+    """Mean squares of the yaw rate's change and of what is allowed."""
+    allowed: Scalar
+
+
+_BANK = len(_Known._fields)
+"""Where in the state the bank begins."""
 
 
 class _Now(NamedTuple):
@@ -284,31 +313,47 @@ class SafetyFilter(Block):
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero = m.filled(0.0, batch)
-        start = (*[zero] * 7, zero + (self.yaw_doubt / 3.0) ** 2, zero, zero + 1.0)
-        return (*start, *[zero] * (_BANK - len(start) + 3 * self._candidates + self._kept))
+        known = _Known(*[zero] * _BANK)._replace(wrong_square=zero + (self.yaw_doubt / 3.0) ** 2, widened=zero + 1.0)
+        return (*known, *[zero] * (3 * self._candidates + self._kept))
 
     def settle(self, t: float, x: State, u: Any) -> State:
         wheel = u.delta_sw_meas + 0.0
         none = 0.0 * wheel
-        first = (u.r + 0.0, 0.0 * u.r, u.r + 0.0, wheel, wheel, none, none, none + (self.yaw_doubt / 3.0) ** 2)
         steady = self._model.yaw_rate_after(u.r, wheel, m.maximum(u.v, 0.0), math.inf)
-        bank = (none, none + 1.0, wheel, steady, steady, none, none, *[none] * (3 * self._candidates))
-        return (*first, *bank, *[wheel] * self._kept)
+        known = _Known(
+            r_model=u.r + 0.0,
+            wrong=0.0 * u.r,
+            r_slow=u.r + 0.0,
+            wheel_before=wheel,
+            plan=wheel,
+            hold=none,
+            wrong_slow=none,
+            wrong_square=none + (self.yaw_doubt / 3.0) ** 2,
+            late=none,
+            widened=none + 1.0,
+            wheel=wheel,
+            r_sent=steady,
+            r_sent_slow=steady,
+            square=none,
+            allowed=none,
+        )
+        return (*known, *[none] * (3 * self._candidates), *[wheel] * self._kept)
 
     def on_standby(self, x: State, settled: State) -> State:
         """The state `settled`; what was found of the car stays."""
-        return (*settled[:_LATE], *x[_LATE : _WIDENED + 1], *settled[_WIDENED + 1 :])
+        known = _known(x)
+        return (*_known(settled)._replace(late=known.late, widened=known.widened), *settled[_BANK:])
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         v, sound = m.maximum(u.v, 0.0), m.is_finite(u.command)
-        now = self._now(x, u, v)
+        now, known = self._now(x, u, v), _known(x)
         within = u.command
         if self.gate is None:
             within = limited(self._law, u.command, x[-1], v, v * v * m.absolute(u.preview[0]))
         sides = [(side, self._arrived(side, v)) for side in (now, now.mirrored())]
         reach = self._reach(sides, v, within)
         safe = m.both(sound, reach <= self.bound)
-        found = (self.dt * x[_LATE], x[_WIDENED] + 0.0)
+        found = (self.dt * known.late, known.widened + 0.0)
         if safe is True:  # one car whose command is kept, as nearly all are: the rest need not be computed
             return self.Y(within, within - u.command, 0.0, reach, 0.0 if within == u.command else 1.0, *found)
         own = self._own(now, v)
@@ -321,8 +366,8 @@ class SafetyFilter(Block):
             low, high = m.where(good, low, middle), m.where(good, middle, high)
             share = m.where(good, share - step, share)
         share = m.where(safe, 0.0, m.where(sound, share, 1.0))
-        plan = m.both(share >= 1.0, x[5] > 0.5)
-        planned = m.clip(x[4] + now.bends[0], -self._law.limit, self._law.limit)
+        plan = m.both(share >= 1.0, known.hold > 0.5)
+        planned = m.clip(known.plan + now.bends[0], -self._law.limit, self._law.limit)
         delta_sw = m.where(safe, within, m.where(plan, planned, m.where(sound, high, own)))
         changed = m.where(share < 1.0, m.where(share > 0.0, 2.0, m.where(within == u.command, 0.0, 1.0)), 3.0)
         reason = m.where(plan, 5.0, m.where(sound, changed, 4.0))
@@ -330,34 +375,36 @@ class SafetyFilter(Block):
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         part, slowly, planned = self.dt / _ADAPT, self.dt / _WANDERS, y.share < 1.0
-        left, v = (x[1] - x[6]) ** 2, m.maximum(u.v, 0.0)
-        bend = self._model.steady_wheel(self._ahead(tuple(u.preview), x[_LATE], 1)[0], v)
-        found = self._found(x, u, v, (*self._sent(x, u), y.delta_sw))
-        goes_on = m.where(y.reason < len(REASONS), m.maximum(x[5] - 1.0, 0.0), 0.0)
-        after = (
-            self._model.yaw_rate_after(x[0], u.delta_sw_meas, v, self.dt),
-            x[1] + part * (u.r - x[0] - x[1]),
-            x[2] + part * (u.r - x[2]),
-            u.delta_sw_meas,
-            m.where(planned, y.delta_sw - bend, x[4]),
-            m.where(found[0] == x[_LATE], m.where(planned, self.hold - 1.0, goes_on), 0.0),
-            x[6] + slowly * (x[1] - x[6]),
-            x[7] + m.where(left > x[7], part, slowly) * (left - x[7]),
-            *found,
-            *self._sent(x, u)[1:],
-            y.delta_sw,
+        known, v = _known(x), m.maximum(u.v, 0.0)
+        left = (known.wrong - known.wrong_slow) ** 2
+        bend = self._model.steady_wheel(self._ahead(tuple(u.preview), known.late, 1)[0], v)
+        found, bank = self._found(x, u, v, (*self._sent(x, u), y.delta_sw))
+        goes_on = m.where(y.reason < len(REASONS), m.maximum(known.hold - 1.0, 0.0), 0.0)
+        new = found._replace(
+            r_model=self._model.yaw_rate_after(known.r_model, u.delta_sw_meas, v, self.dt),
+            wrong=known.wrong + part * (u.r - known.r_model - known.wrong),
+            r_slow=known.r_slow + part * (u.r - known.r_slow),
+            wheel_before=u.delta_sw_meas,
+            plan=m.where(planned, y.delta_sw - bend, known.plan),
+            hold=m.where(found.late == known.late, m.where(planned, self.hold - 1.0, goes_on), 0.0),
+            wrong_slow=known.wrong_slow + slowly * (known.wrong - known.wrong_slow),
+            wrong_square=known.wrong_square
+            + m.where(left > known.wrong_square, part, slowly) * (left - known.wrong_square),
         )
+        after = (*new, *bank, *self._sent(x, u)[1:], y.delta_sw)
         kept = len(x) - self._kept
         before = (*x[:kept], *x[kept + 1 :], x[-1])  # what is no number was not measured, or never left
         return tuple([m.where(m.is_finite(new), new + 0.0, old) for new, old in zip(after, before, strict=True)])
 
-    def _found(self, x: State, u: Any, v: Scalar, sent: State) -> State:
+    def _found(self, x: State, u: Any, v: Scalar, sent: State) -> tuple[_Known, State]:
         """How late commands arrive, by what factor the doubt is widened, and the bank that says so, after a sample."""
         n, part, tight = self._candidates, self.dt / _NOTICED, (0.5 * self.yaw_doubt) ** 2
         changes, products, squares = (x[_BANK + i * n : _BANK + (i + 1) * n] for i in range(3))
-        change, late = u.r - x[2], x[_LATE]
-        square = x[13] + part * (change * change - x[13])
-        allowed = x[14] + part * ((self.yaw_doubt + self.ratio_doubt * m.absolute(change)) ** 2 - x[14])
+        known = _known(x)
+        change, late = u.r - known.r_slow, known.late
+        square = known.square + part * (change * change - known.square)
+        most = (self.yaw_doubt + self.ratio_doubt * m.absolute(change)) ** 2
+        allowed = known.allowed + part * (most - known.allowed)
         products = tuple([c + part * (change * p - c) for c, p in zip(products, changes)])
         squares = tuple([s + part * (p * p - s) for s, p in zip(squares, changes)])
         wide, best, place, within, off = self.widest * self.ratio_doubt, 1e9, 0.0, 1e9, 1e9
@@ -372,12 +419,20 @@ class SafetyFilter(Block):
             off = m.minimum(square - 2.0 * c + s, off)
         late = m.where(within > 2.0 * best + tight, m.minimum(place, float(self._later)), late)
         excess = m.sqrt(m.maximum(off, 0.0) / m.maximum(allowed, tight))
-        widened = m.maximum(excess, x[_WIDENED] - self.dt / _FORGETS * (x[_WIDENED] - 1.0))
-        turned = lag_step(sent[-1 - self._soonest] - x[10], self._follow, slewed(self._model, v) * self.dt)
-        r = self._model.yaw_rate_after(x[11], x[10] + 0.5 * turned, v, self.dt)
-        slow = x[12] + self.dt / _ADAPT * (x[11] - x[12])
-        seen = x[10] + turned, r, slow, square, allowed
-        return (late, m.minimum(widened, self.widest), *seen, r - slow, *changes[:-1], *products, *squares)
+        widened = m.maximum(excess, known.widened - self.dt / _FORGETS * (known.widened - 1.0))
+        turned = lag_step(sent[-1 - self._soonest] - known.wheel, self._follow, slewed(self._model, v) * self.dt)
+        r = self._model.yaw_rate_after(known.r_sent, known.wheel + 0.5 * turned, v, self.dt)
+        slow = known.r_sent_slow + self.dt / _ADAPT * (known.r_sent - known.r_sent_slow)
+        found = known._replace(
+            late=late,
+            widened=m.minimum(widened, self.widest),
+            wheel=known.wheel + turned,
+            r_sent=r,
+            r_sent_slow=slow,
+            square=square,
+            allowed=allowed,
+        )
+        return found, (r - slow, *changes[:-1], *products, *squares)
 
     def _yaw_doubt(self, square: Scalar) -> Scalar:
         """Of the yaw rate now [rad/s], from the mean square of what is left of `wrong`."""
@@ -398,23 +453,24 @@ class SafetyFilter(Block):
 
     def _now(self, x: State, u: Any, v: Scalar) -> _Now:
         """What roll-outs start from."""
-        sent, late, preview = self._sent(x, u), x[_LATE], tuple(u.preview)
+        known, sent, preview = _known(x), self._sent(x, u), tuple(u.preview)
+        late = known.late
         last = len(sent) - 1
         commands = [[sent[min(k + self._later - n, last)] for n in range(self._later + 1)] for k in range(len(sent))]
         middles = range(self._soonest + (round(late) if isinstance(late, float) else self._later))
         ahead = self._ahead(preview, late, 2 * round(self.horizon / self.dt))
         return _Now(
             Motion(u.e, u.psi_e, u.r, u.delta_sw_meas),
-            x[3],
-            x[1],
-            x[2],
+            known.wheel_before,
+            known.wrong,
+            known.r_slow,
             tuple([_picked(row, late) for row in commands]),
             sent[-self._spread :],
             tuple([self._model.kappa(preview, (k + 0.5) * self.dt) for k in middles]),
             ahead,
             tuple([self._model.steady_wheel(kappa, v) for kappa in ahead[: 2 * self.hold : 2]]),
-            self._yaw_doubt(x[7]),
-            x[_WIDENED] * self.ratio_doubt,
+            self._yaw_doubt(known.wrong_square),
+            known.widened * self.ratio_doubt,
             self._soonest + late,
         )
 
@@ -495,6 +551,11 @@ class SafetyFilter(Block):
             at = self._moved(now, v, now.ahead[2 * k + 1], (given, commands[k]), at)
             furthest = m.maximum(at.car.e, furthest)
         return m.maximum(at.car.e + self.approach * (at.car.e - e_before) / self.dt, furthest)
+
+
+def _known(x: State) -> _Known:
+    """The first entries of a state of `SafetyFilter`."""
+    return _Known._make(x[:_BANK])
 
 
 def doubted(late: float, widened: float) -> str:

@@ -22,6 +22,7 @@ _MISFIT = 0.05
 _GAINS = 0.4, 2.5
 """An answer may be so much smaller or larger than expected [1]."""
 _SIGNS = np.array([[1.0], [-1.0]])
+"""Of the two regressions."""
 _MOST = 4.0
 """Lateral acceleration beyond which tyres and motors no longer answer in proportion [m/s^2]."""
 _SLOWEST = 0.5

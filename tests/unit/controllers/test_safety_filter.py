@@ -10,7 +10,7 @@ import pytest
 
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.offset_free import CommandCompensation
-from steerkit.controllers.safety_filter import _LATE, _WIDENED, BEHIND_GATE, REASONS, SafetyFilter, doubted
+from steerkit.controllers.safety_filter import _BANK, BEHIND_GATE, REASONS, SafetyFilter, _known, doubted
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
@@ -353,7 +353,7 @@ def test_the_ratio_is_doubted_as_much_as_it_is_off_at_most_four_times_and_less_w
     assert widened[2:] == pytest.approx([2.5, 3.0 / 1.3, 4.0], rel=0.01), "shares of the car's own yaw rate, over 0.1"
     u: Any = block.U(**{**HERE, "preview": (0.0,) * block.preview_points})
     x = block.settle(0.0, block.init(), u)
-    x = (*x[:_WIDENED], 3.0, *x[_WIDENED + 1 :])
+    x = (*_known(x)._replace(widened=3.0), *x[_BANK:])
     for k in range(400):
         x = block.update(0.05 * k, x, u, block.output(0.05 * k, x, u))
     after = block.output(0.0, x, u).widened
@@ -373,10 +373,10 @@ def test_a_car_that_is_found_to_be_late_is_rolled_out_as_one_that_was_believed_t
         found = []
         for block, n in ((late, extra), (told, 0)):
             x = block.settle(0.0, block.init(), u)
-            x = (*x[:_LATE], float(n), *x[_LATE + 1 : len(x) - block._kept], *sent[-block._kept :])
+            x = (*_known(x)._replace(late=float(n)), *x[_BANK : len(x) - block._kept], *sent[-block._kept :])
             found.append(block.output(0.0, x, u)[:5])
         assert found[0] == pytest.approx(found[1], abs=1e-12)
-        outputs.append((*x[:_LATE], float(extra), *x[_LATE + 1 :], *found[0]))
+        outputs.append((*_known(x)._replace(late=float(extra)), *x[_BANK:], *found[0]))
     assert len({round(output[-1]) for output in outputs}) > 1
 
 
