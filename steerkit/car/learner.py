@@ -107,7 +107,8 @@ class CarLearner:
             transitions=self.store.transitions(RUN),
             also=self.store.append,
         )
-        self._element = setting.element(design_model_of(config).vehicle)
+        design_model = design_model_of(config)
+        self._element, self._believed, self._variant = setting.element(design_model.vehicle), design_model.delay, ""
         how: dict[str, Any] = {"recovery": self.recovery, "safe": setting.safe, "clock": clock}
         resting = replace(policy, ready_from=math.inf)
         self._idle = car_loop(config, path, self.link, resting, doe=self._element, **how)
@@ -165,11 +166,14 @@ class CarLearner:
             learner_state.train(t, trusted=True)
         result = learner_state.take_over(t, **seen)
         taken = result is not None and result.number == learner_state.net
+        late = self.setting.safe and learner_state.arrives(sample["safety.late"], self._believed)
         if taken:
             learner_state.counts.corrected = 0
+        if taken or late:
+            self._variant = f"-dead{learner_state.policy.forecast.samples}" if late else ""
             learner_state.policy.save(self.net_file, durable=False)  # the next sample does not wait for the disk
             self.follow.exchange(live, self._with(learner_state.policy))
-        if taken or self.follow.trusted != learner_state.trusted:
+        if taken or late or self.follow.trusted != learner_state.trusted:
             self.follow.trusted = learner_state.trusted
             self.remark()
         self.follow.choose(live)
@@ -211,8 +215,9 @@ class CarLearner:
 
     @property
     def net_file(self) -> FilePath:
-        """The file of the newest net that has taken over."""
-        return rundir.net_file(self.place, self.learner_state.net)
+        """The file of the newest net that has taken over, or of that with the dead time that the filter found."""
+        file = rundir.net_file(self.place, self.learner_state.net)
+        return file.with_stem(file.stem + self._variant)
 
     def remark(self) -> None:
         """Note, for the recording, who steers from here on."""

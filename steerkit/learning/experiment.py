@@ -98,13 +98,15 @@ class LearningRun:
             trainer=self.trainer,
             round_length=scenario.round_length,
         )
+        safety = make_safety(scenario.design_model()) if setting.safe else None
+        self._believed = safety.backup.model.delay if safety else 0.0
         self.loop = assembled(
             scenario,
             self._controller(),
             doe=setting.element(scenario.nominal),
             recovery=scenario.recovery_controller(),
             shift=TargetShift() if setting.after_failure == "shift" else None,
-            safety=make_safety(scenario.design_model()) if setting.safe else None,
+            safety=safety,
             seed=experiment.seed,
         )
         start = self.loop.init()
@@ -170,6 +172,8 @@ class LearningRun:
             before, self.doubted = self.doubted, doubted(sample["safety.late"], sample["safety.widened"])
             if self.doubted and not before:
                 self._tell("doubted")
+            if learner_state.arrives(sample["safety.late"], self._believed):
+                self.steer()
         if self.each is not None:
             self.each(sample)
         learning, rounds = self._value("supervisor.learning") > 0.5, counts.rounds

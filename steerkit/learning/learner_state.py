@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+from steerkit.controllers.delay_compensator import LONGEST
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import DOE, PSI_E
 from steerkit.doe import OutputElement
@@ -20,6 +21,12 @@ PATIENCE = 20.0
 """Time for which the recovery controller may steer before the run reports that it cannot hand over [s]."""
 AGAIN = 10.0
 """Time after which what was recorded under the recovery controller is learned from again, while that steers [s]."""
+ENOUGH = 200
+"""Transitions of a car that is known to have changed from which on it is learned from them alone: 10 s."""
+MEMORY = 2.0
+"""For so long before it was noticed that commands arrive later, they have [s]."""
+ALIKE = 2
+"""Dead times that differ by so much are the same [samples]: a learner's has a part of the steering's lag in it."""
 TURNED = 0.4
 """|psi_e| from which driving under the recovery controller is not recorded [rad]: the model of the car is linear."""
 
@@ -87,6 +94,12 @@ class Counts:
     """Driving time at which it was complete [s]."""
     failures_to_round: int | None = None
     """Failures before the first complete round."""
+    late: float = 0.0
+    """How much later than the safety filter believed at first commands arrive, as it found last [s]."""
+    changed: int = 0
+    """The first transition since it found another dead time than the policy had; 0: it has not."""
+    guessed: int = 0
+    """The newest update whose dead time does not count: it was of the car before."""
     corrected: int = 0
     """Samples in which the safety filter corrected the policy, since that took over."""
     episodes: list[Episode] = field(default_factory=list)
@@ -347,8 +360,37 @@ class LearnerState:
             return
         counts.updates += 1
         seed = self.seed * 100_003 + counts.updates
-        job = Job(number=counts.updates, transitions=self.transitions, problem=self.setting.problem, seed=seed)
+        job = Job(number=counts.updates, transitions=self._learned_from(), problem=self.setting.problem, seed=seed)
         self.trainer.submit(job, t)
+
+    def _learned_from(self) -> Transitions:
+        """Those of the car as it is; while those are few, of the car before, which it is but for the dead time."""
+        counts, all_of_them = self.counts, self.transitions
+        if not counts.changed:
+            return all_of_them
+        if len(all_of_them) - counts.changed >= ENOUGH:
+            return all_of_them.part(slice(counts.changed, None))
+        counts.guessed = counts.updates
+        return all_of_them.part(slice(0, counts.changed))
+
+    def arrives(self, late: float, believed: float) -> bool:
+        """The safety filter found that commands arrive `late` [s] later than `believed` [s]: a change of the policy?
+
+        Where that is another dead time than the policy's, it forecasts over that at once, and the next updates are of
+        the car since then.
+        """
+        counts, forecast, n = self.counts, self.policy.forecast, len(self.transitions)
+        found, counts.late = late != counts.late, late
+        if not found or not math.isfinite(late) or forecast is None or n < ENOUGH:
+            return False
+        samples = min(max(round((believed + late) / self.policy.dt), 0), LONGEST)
+        if abs(samples - forecast.samples) <= ALIKE:
+            return False
+        self.policy = replace(self.policy, forecast=replace(forecast, samples=samples))
+        if not counts.changed or n - counts.changed >= ENOUGH:
+            counts.changed = max(1, n - round(MEMORY / self.policy.dt))
+        counts.guessed = counts.updates
+        return True
 
     def take_over(self, t: float, *, e: float, e_dot: float, within: float = RELEASE) -> Result | None:
         """Let a policy that is ready take over, if now is the time; returns what came of its training, if anything.
@@ -368,7 +410,8 @@ class LearnerState:
             if not self.trusted:
                 self.train(t, trusted=False)
             return result
-        policy = replace(self.policy, nets=result.nets, forecast=result.forecast, ready_from=0.0)
+        forecast = self.policy.forecast if result.number <= self.counts.guessed else result.forecast
+        policy = replace(self.policy, nets=result.nets, forecast=forecast, ready_from=0.0)
         self.policy, self.net, self.trusted = policy, result.number, True
         return result
 

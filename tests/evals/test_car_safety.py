@@ -19,6 +19,8 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.wrapper import Wrapper
+from steerkit.learning import learner_state
+from steerkit.learning.learner_state import LearnerState
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import steering_loop
 from steerkit.task import STOP
@@ -147,6 +149,30 @@ def test_a_filtered_learner_stays_on_the_path_and_replays_bit_for_bit_correction
     assert replays.replayed_requests(drive, config, path) == len(drive.requests)
     drive.filtered[20] = drive.filtered[20]._replace(reach=drive.filtered[20].reach + 1e-15)
     assert replays.replayed_requests(drive, config, path) == len(drive.requests) - 1
+
+
+def test_a_dead_time_that_the_filter_finds_goes_into_the_policy_and_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arrives = LearnerState.arrives
+
+    def found(self: LearnerState, late: float, believed: float) -> bool:
+        assert late == 0.0
+        return arrives(self, 0.3 if len(self.transitions) > 45 else 0.0, believed)
+
+    monkeypatch.setattr(LearnerState, "arrives", found)
+    monkeypatch.setattr(learner_state, "ENOUGH", 40)
+    how = replace(SAFE, fit=replace(SAFE.fit, imagined=20, dead_time=0.6))
+    learner = learned(tmp_path, monkeypatch, 3.7, how)
+    samples = round((0.3 + loops.design_model_of(setup()[0]).delay) / 0.05)
+    (file,) = [file for file in (tmp_path / "run" / "nets").iterdir() if "dead" in file.name]
+    assert file.stem.endswith(f"-dead{samples}")
+    recorded = recordings.read(tmp_path / "drive.mcap")
+    (drive,) = [d for d in replays.drives(recorded) if d.remarks]
+    assert str(file) in {s.name for _, s in drive.remarks}
+    assert learner.learner_state.counts.late == 0.3
+    config, path = setup()
+    assert replays.replayed_requests(drive, config, path) == len(drive.requests)
 
 
 def test_only_policies_get_it() -> None:

@@ -40,11 +40,13 @@ NOTHING = 1e-5
 """Turn in a sample that is as good as none [rad], for records without noise."""
 PIECE = 200
 """Rows of the pieces in which it is asked whether the dead time has changed."""
-CHANGED = 1.25
-"""What another dead time leaves unexplained of w in one, over what its best one leaves, from which on it has. Noise
-alone moves that by some percent."""
+CHANGED = 0.4
+"""By how much the logarithm of what is left unexplained has to fall, summed over pieces, where there are two dead times
+[1] ..."""
+DRIFTS = 0.05
+"""... and more for each piece: noise, and steering that is no dead time and three angles, move it by that."""
 MATTERS = 5e-4
-"""Turn in a sample by which it has to be more besides [rad]."""
+"""Turn in a sample that is little [rad]: what changes less has not changed."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -140,19 +142,29 @@ def _of_others(
 def since_change(record: Transitions, longest: int) -> Transitions:
     """The newest rows: those that agree on one dead time.
 
-    From the newest piece of PIECE rows on, older ones are added, until the dead time that explains w best in all of
-    them leaves one of them explained worse than its own best dead time does, by CHANGED and MATTERS.
+    A record in pieces of PIECE rows, n of them older and m newer, has changed between them where two dead times explain
+    w better than one does, together by more than CHANGED (cost L):
+
+        min_k L(all) - min_k L(older) - min_k L(newer) > CHANGED + DRIFTS min(n, m)
+        L = sum over pieces of min(l(k), l(k - 1)),   l(k) = ln(what k leaves unexplained, RMS, + MATTERS)
+
+    k - 1 counts too, as calm driving hardly tells one dead time from the next, and the shorter explains what the longer
+    does. Pieces are added from the newest on, until this is so for one of their splits: the newest change. Source:
+    Basseville, Nikiforov 1993, chapter 2 (generalised likelihood ratio).
     """
-    pieces: list[Array] = []
+    ends, costs = list[int](), list[Array]()
     for end in range(len(record), 0, -PIECE):
         errors = np.array(unexplained(record.part(slice(max(0, end - PIECE), end)), longest))
         if len(errors) <= longest:
             continue
-        pieces.append(errors)
-        all_of_them = np.array(pieces)
-        best = np.square(all_of_them).sum(axis=0).argmin()
-        if (all_of_them[:, best] > CHANGED * all_of_them.min(axis=1) + MATTERS).any():
-            return record.part(slice(end, None))
+        cost = np.log(errors + MATTERS)
+        ends.append(end)
+        costs.append(np.minimum(cost, np.append(cost[0], cost[:-1])))
+        newer = np.cumsum(costs, axis=0)
+        older, count = newer[-1] - newer, np.arange(1, len(costs) + 1)
+        gain = newer[-1].min() - newer.min(axis=1) - older.min(axis=1) - DRIFTS * np.minimum(count, count[::-1] - 1)
+        if gain.max() > CHANGED:
+            return record.part(slice(ends[int(gain.argmax()) + 1], None))
     return record
 
 

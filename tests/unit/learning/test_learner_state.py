@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.learner_state import LearnerState, untrained
 from steerkit.learning.nfq.iterate import FitSetting
@@ -256,6 +257,42 @@ def test_else_the_next_training_comes_when_it_is_due() -> None:
     assert fed.learner_state.net == 0
     fed.drive(5)
     assert fed.learner_state.due()
+
+
+def test_the_dead_time_that_a_filter_finds_counts_at_once_and_from_then_on_the_car_since_then() -> None:
+    forecast = DelayCompensator(samples=3)
+    fed = Fed(policy=replace(untrained(HOW, 2), preview_points=PREVIEW, forecast=forecast))
+    state = fed.learner_state
+    fed.drive(150)
+    assert not state.arrives(0.3, 0.1)  # at the beginning its own record tells
+    assert not state.arrives(0.0, 0.1)
+    fed.drive(100)
+    assert not state.arrives(math.nan, 0.1)
+    assert not state.arrives(0.05, 0.2), "two samples more are the lag"
+    state.train(0.0, trusted=True)
+    assert state.arrives(0.3, 0.1)
+    assert not state.arrives(0.3, 0.1)
+    assert state.steering.forecast.samples == 8
+    assert state.counts.changed == 249 - 40
+    fed.trainer.done(forecast=replace(forecast, samples=4))
+    fed.take_over()
+    assert state.steering.forecast.samples == 8, "trained before it was found"
+    state.train(0.0, trusted=True)
+    assert len(fed.trainer.jobs[-1].transitions) == 209, "few are of the new car"
+    assert state.arrives(0.5, 0.1)
+    assert (state.counts.changed, state.steering.forecast.samples) == (209, 12)
+    fed.trainer.done(forecast=replace(forecast, samples=4))
+    fed.take_over()
+    assert state.steering.forecast.samples == 12
+    fed.drive(160)
+    state.train(0.0, trusted=True)
+    np.testing.assert_array_equal(fed.trainer.jobs[-1].transitions.s, state.transitions.s[209:])
+    fed.trainer.done(forecast=replace(forecast, samples=11))
+    fed.take_over()
+    assert state.steering.forecast.samples == 11
+    fed.drive(1)
+    assert state.arrives(0.0, 0.1)
+    assert (state.counts.changed, state.steering.forecast.samples) == (410 - 40, 2)
 
 
 def test_without_a_transition_there_is_nothing_to_train_on() -> None:

@@ -129,6 +129,16 @@ def test_of_a_car_whose_dead_time_has_changed_the_older_record_is_left_out(befor
     assert dead_time_of(since_change(after(record, calm), 12), 12) == now  # they do not bring the old rows back
 
 
+def test_calm_driving_shows_a_change_too_and_a_car_that_is_as_it_was_before_begins_anew() -> None:
+    """Of steering so weak that 200 rows do not prove it: another dead time leaves half as much more, 0.3 mrad."""
+    parts = [late(samples, n=1800, noise=0.003, seed=seed, action=0.2) for seed, samples in enumerate((3, 9, 3))]
+    changed_once, twice = after(*parts[:2]), after(*parts)
+    assert len(since_change(changed_once, 12)) == pytest.approx(1800, abs=200)
+    assert dead_time_of(since_change(changed_once, 12), 12) == pytest.approx(9, abs=1)
+    assert len(since_change(twice, 12)) == pytest.approx(1800, abs=200)
+    assert dead_time_of(since_change(twice, 12), 12) == pytest.approx(3, abs=1)
+
+
 @pytest.mark.parametrize(("car", "speeds"), [(CAR, (4.0, 7.0)), (FAST, (12.0, 24.0))])
 def test_of_a_car_that_has_not_changed_the_whole_record_counts(car: CarModel, speeds: tuple[float, float]) -> None:
     for samples in (0, 4, 9):
