@@ -114,11 +114,16 @@ def shell(bin_folder: Path) -> Iterator[Shell]:
 # ---- what the text has the reader make ------------------------------------------------------------------------------
 
 
+SHORT_DRIVES = "scenario.course = {name = 'circle', rounds = 0.1}\n"
+"""An experiment whose test drives, of which a run has two and `show` as many again, end after a tenth of a round."""
+
+
 @pytest.fixture(scope="session")
 def learned(bin_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short learning run's directory."""
     folder = tmp_path_factory.mktemp("learned")
-    words = "--course circle --seed 3 --minutes 0.1 --with fit.epochs=20 --quiet --out run"
+    (folder / "short.toml").write_text(SHORT_DRIVES)
+    words = "--config short.toml --seed 3 --minutes 0.1 --with fit.epochs=20 --quiet --out run"
     done = Shell(folder, bin_folder).run(f"steerkit learn {words}")
     assert done.returncode == 0, done.stderr
     return folder / "run"
@@ -136,6 +141,8 @@ def make(name: str, folder: Path, learned: Path) -> None:
     """Make a file that a line needs."""
     if name in ("runs/default-paper-clean-seed3", "runs/mine", "runs/car", "my-run"):
         shutil.copytree(learned, folder / name)
+    elif name == "short.toml":
+        (folder / name).write_text(SHORT_DRIVES)
     elif name == "my-car.toml":  # "copy the shipped dbw-kit.toml"
         from steerkit import car as real_car
 
