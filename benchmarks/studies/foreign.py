@@ -222,7 +222,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
     cars = [car for car in options.cars or CARS if car in CARS][: 1 if quick else None]
     if part == "recovery":
         return [
-            Job(car, speed, factor, name, seed, 25.0 if quick else options.seconds, clean)
+            Job(car, speed, factor, name, seed, 18.0 if quick else options.seconds, clean)
             for seed in seeds
             for car in cars
             for name in (AUTO, *options.controllers)
@@ -231,7 +231,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
         ]
     if part == "adaptive":
         return [
-            AdaptiveJob(car, speed, name, lag, seed, 8.0 if quick else 60.0, clean)
+            AdaptiveJob(car, speed, name, lag, seed, 5.0 if quick else 60.0, clean)
             for seed in seeds
             for car in cars
             for speed in CARS[car].speeds[: 1 if quick else None]
@@ -239,14 +239,14 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
             for lag in LAGS
         ]
     if part == "learner":
-        how = (0.2, hard, 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, hard, options.last)
+        how = (0.15, hard, 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, hard, options.last)
         return [
             LearnerJob(car, *speeds, seed, *how)
             for seed in seeds
             for car in cars
             for speeds in CARS[car].ranges[: 1 if quick else None]
         ]
-    short: dict[str, Any] = {"minutes": 0.1, "told": ("lqr",), "rounds": 0.1} if quick else {"minutes": options.phase}
+    short: dict[str, Any] = {"minutes": 0.05, "told": ("lqr",), "rounds": 0.05} if quick else {"minutes": options.phase}
     every = [
         changes.Job(car=car, change=change, seed=seed, conditions=hard, **short)
         for seed in seeds

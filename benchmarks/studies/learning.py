@@ -126,7 +126,7 @@ def summarise(outcomes: list[Outcome], within: float) -> dict[str, Any]:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Its own command line options; --quick is one seed that drives for half a minute."""
+    """Its own command line options; --quick is one seed that drives for a quarter of a minute."""
     parser.add_argument("--setting", default="default", choices=sorted(SETTINGS))
     parser.add_argument(
         "--with",
@@ -158,7 +158,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Run the seeds, print the tables."""
     where = spread.where(options)
     count = (1 if options.quick else 10) if options.seeds is None else options.seeds
-    minutes = (0.5 if options.quick else 11.0) if options.minutes is None else options.minutes
+    minutes = (0.25 if options.quick else 11.0) if options.minutes is None else options.minutes
     if options.fleet or options.cars:
         how = changed(setting(options.setting), options.changes)
         seeds = range(options.first_seed, options.first_seed + (1 if options.seeds is None else options.seeds))
