@@ -104,7 +104,7 @@ def command(port: int, *more: str) -> list[str]:
     return [*words(line, port), "--only", "stanley", "--out", "results", *more]
 
 
-SHORT = ("--quick", "--setting", "model-free", "--minutes", "0.1", "--seeds", "4", "--json")
+SHORT = ("--quick", "--setting", "model-free", "--course", "circle", "--minutes", "0.1", "--seeds", "4", "--json")
 """A study of four short runs."""
 
 
@@ -151,7 +151,7 @@ def a_study(start: Start, port: int, tmp_path: Path, victim: int) -> None:
 
 def a_suite(start: Start, port: int, tmp_path: Path, victim: int) -> None:
     """All cases are done, with the numbers of this machine, though a worker is killed on the way."""
-    run = start("run", command(port, "--seeds", "8", "--json"), environment())
+    run = start("run", command(port, "--seeds", "5", "--json"), environment())
     finished = lambda: len(list(tmp_path.glob("results/cases/*.json")))  # noqa: E731
     until(lambda: finished() >= 2 or run.poll() is not None, "two cases")
     before = finished()

@@ -62,7 +62,7 @@ class Command:
 def bring_files(place: Path) -> None:
     """The newcomer's own files: a course, a log of a car, a controller, an output element."""
     angles = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
-    radii = 40.0 + 6.0 * np.cos(2.0 * angles)
+    radii = 32.0 + 5.0 * np.cos(2.0 * angles)
     _write(place / "yard.csv", ("x", "y"), zip(radii * np.cos(angles), radii * np.sin(angles)))
     _write(place / "lap.csv", ("t", "delta_sw", "v", "r"), _lap())
     own_controller(place)
