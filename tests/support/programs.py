@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import importlib
+import json
 import os
 import runpy
 import select
@@ -17,7 +18,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from multiprocessing import util
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 SHARED = ("PIL", "filelock", "joblib", "matplotlib", "pandas", "pydantic", "typer")
 """Packages of which programs import parts late: this process imports those too, once, for the next programs."""
@@ -85,6 +86,8 @@ def _become(
         warnings.filterwarnings("ignore", category=DeprecationWarning)
         warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]
         sys.path[:0] = [str(folder), *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
+        if cars := sys.modules.get("steerkit.car.processes"):
+            cars.start = _forked  # type: ignore[attr-defined]
         if drawing := sys.modules.get("matplotlib.layout_engine"):  # a third of a short command's time
             drawing.ConstrainedLayoutEngine.execute = lambda *_: None  # type: ignore[attr-defined]
         code = _ended(words)
@@ -99,6 +102,40 @@ def _become(
             new.write("\n".join(sorted(name for name in set(sys.modules) - before if name.partition(".")[0] in SHARED)))
             new.flush()
         os._exit(code & 0xFF)
+
+
+class _Forked(subprocess.Popen[str]):
+    """A car's process as a fork of a program that is one: its imports take longer than most drives of the tests."""
+
+    def _execute_child(self, args: Sequence[str], *how: Any) -> None:
+        pipes = to_child, _, _, from_child, _, errors = how[9:15]  # as Popen orders them, -1: none
+        self.pid = os.fork()
+        if self.pid == 0:
+            code = 1
+            try:
+                os.setsid()
+                for stream, number in ((to_child, 0), (from_child, 1), (errors, 2)):
+                    if stream >= 0:
+                        os.dup2(stream, number)
+                os.closerange(3, 1024)
+                sys.stdin = os.fdopen(0, closefd=False, encoding="utf-8")
+                sys.stdout, sys.stderr = (os.fdopen(n, "w", closefd=False, encoding="utf-8") for n in (1, 2))
+                code = sys.modules["steerkit.car.processes"].main(args[3:])
+                threading._shutdown()  # type: ignore[attr-defined]
+            except BaseException:
+                sys.excepthook(*sys.exc_info())
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(code & 0xFF)
+        self._child_created = True
+        self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
+
+
+def _forked(name: str, arguments: Mapping[str, Any], **popen: Any) -> subprocess.Popen[str]:
+    """What `steerkit.car.processes.start` does."""
+    command = [sys.executable, "-m", "steerkit.car.processes", name, json.dumps(arguments)]
+    return _Forked(command, encoding="utf-8", start_new_session=True, **popen)
 
 
 def _ended(words: Sequence[str]) -> int:
