@@ -141,7 +141,7 @@ def _compared(done: Done) -> None:
     assert list(rows) == ["stanley", "mpc", "runs/a", OWN]
     analytic = [rows[name] for name in ("stanley", "mpc", OWN)]
     assert all(row["held"] and 0.0 < row["rms_e"] < 0.05 for row in analytic), rows
-    assert rows["runs/a"]["share_within_5cm"] > 0.3, "an untrained net has less than 0.01"
+    assert rows["runs/a"]["share_within_5cm"] > 0.3, "an untrained net has less than 0.02"
     assert len({row["rms_e"] for row in rows.values()}) == 4, "each drove for itself"
     files = {file.name for file in (done.place / "compared").iterdir()}
     assert files == {"stanley.npz", "mpc.npz", "a.npz", "my_file.py-make.npz", "drive.json", "drive.png"}
