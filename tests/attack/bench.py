@@ -59,9 +59,9 @@ def configuration(name: str, vehicle: str = "") -> tuple[CarConfig, Any]:
 
 
 @cache
-def calibrated(kinematic: bool) -> str:
-    """The vehicle file of a drive of a minute, the wheel swinging to and fro as the guided drive has it."""
-    swing = Attack("none", request=lambda drive, a, t: a + math.radians(25.0) * math.sin(1.9 * t), seconds=60.0)
+def calibrated(kinematic: bool, seconds: float = 60.0) -> str:
+    """The vehicle file of a drive of so long, the wheel swinging to and fro as the guided drive has it."""
+    swing = Attack("none", request=lambda drive, a, t: a + math.radians(25.0) * math.sin(1.9 * t), seconds=seconds)
     drive = Drive(swing, kinematic=kinematic)
     estimators = CarEstimators(drive.config)
     drive.attack.act = lambda d, t: estimators.sample(protocol.decode(d.answer)) if d.k % 10 == 5 else None  # type: ignore[arg-type, func-returns-value]
@@ -357,7 +357,10 @@ class Drive(Bench):
 
     def under(self, attack: Attack) -> Drive:
         """How a settled drive, which stays as it is, goes on under an attack."""
-        drive = deepcopy(self, {id(fixed): fixed for fixed in (self.config, self.course)})
+        senses = self.core.senses
+        fixed = (self.config, self.course, senses._readers, senses._tracker)
+        past = (self.sent, self.truth, self.modes)  # of what never changes
+        drive = deepcopy(self, {**{id(one): one for one in fixed}, **{id(many): many[:] for many in past}})
         drive.attack = attack
         return drive.run()
 

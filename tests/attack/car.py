@@ -56,8 +56,8 @@ def stadium() -> Course:
 
 
 def road() -> Course:
-    """An open road with a bend to either side."""
-    return Course([(30.0, 0.0), (30.0, 0.03), (20.0, 0.0), (30.0, -0.03), (40.0, 0.0)], closed=False)
+    """An open road with a bend, no longer than it takes to engage and to be told of its end."""
+    return Course([(10.0, 0.0), (25.0, 0.03), (25.0, 0.0)], closed=False)
 
 
 @dataclass

@@ -134,13 +134,14 @@ def lied_to(
     seconds: float = 12.0,
     seed: int = 0,
     lead: float = 0.0,
+    found: float = 60.0,
 ) -> Drive:
     """A liar's drive, so long from its onset on, steered by the attacker's own law (`own`) or one of the product's.
 
     known: has the car been calibrated? kinematic: does it roll where its wheels point, or is it the data sheet's?
-    lead: how far it was driven before the onset, beyond the usual 2.5 s [m].
+    lead: how far it was driven before the onset, beyond the usual 2.5 s [m]. found: for how long to calibrate it [s].
     """
-    attack, vehicle = replace(LIARS[name], seconds=seconds), calibrated(kinematic) if known else ""
+    attack, vehicle = replace(LIARS[name], seconds=seconds), calibrated(kinematic, found) if known else ""
     if controller == "own":
         return own(attack.course, attack.where, speed, seed, kinematic, vehicle, lead).under(attack)
     return driven_by(controller, attack, speed=speed, seed=seed, kinematic=kinematic, vehicle=vehicle, lead=lead)

@@ -10,7 +10,7 @@ from tests.attack.calm import Playback, busy_drive
 
 @pytest.mark.parametrize("speed", [2.0, 7.0])
 def test_hard_sensors_and_a_computer_that_is_held_up_are_no_fault(speed: float) -> None:
-    drive = busy_drive(speed, 0, 25.0)
+    drive = busy_drive(speed, 0, 12.0)
     assert drive.engaged_at_onset()
     assert math.isinf(drive.ended()), drive.cause()
     assert drive.excess() < 0.25
@@ -18,16 +18,16 @@ def test_hard_sensors_and_a_computer_that_is_held_up_are_no_fault(speed: float) 
 
 def test_a_computer_that_stands_still_for_longer_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(calm, "HELD", 0.12)
-    drive = busy_drive(5.0, 0, 10.0)
+    drive = busy_drive(5.0, 0, 5.0)
     (cause,) = [cause for _, mode, cause in drive.modes if mode == "FAULT"]
     assert cause.split(":")[0] in ("server late", "report stale", "missed deadlines")
 
 
-@pytest.mark.parametrize(("name", "seconds"), [("genesis-rfs", math.inf), ("genesis", 45.0)])
+@pytest.mark.parametrize(("name", "seconds"), [("genesis-rfs", 30.0), ("genesis", 25.0)])
 def test_a_real_car_s_lap_is_believed(name: str, seconds: float) -> None:
     played = Playback(name, seed=1).run(until=seconds)
     assert played.alarms == []
-    assert played.engaged > 0.98 * min(seconds, 64.5)
+    assert played.engaged > 0.98 * seconds
 
 
 def test_a_heading_that_is_askew_by_more_than_is_borne_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
