@@ -11,7 +11,7 @@ from tests.support.recordings import small
 @pytest.fixture(scope="session")
 def calibration(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """A guided drive of half a minute, recorded."""
-    return made(tmp_path_factory.mktemp("calibration"), minutes=0.75)
+    return made(tmp_path_factory.mktemp("calibration"), minutes=0.5)
 
 
 @pytest.fixture

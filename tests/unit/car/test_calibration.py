@@ -28,7 +28,7 @@ def test_all_waves_are_driven_within_the_gates_limits_and_near_the_course(calibr
     assert world.mode is Mode.ENGAGED
     world.check_bus()
     driven = [s for s in world.seen if s.mode is Mode.ENGAGED]
-    assert len(driven) == pytest.approx(0.75 * 60.0 * 20.0, abs=5)
+    assert len(driven) == pytest.approx(0.5 * 60.0 * 20.0, abs=5)
     assert max(abs(s.e) for s in driven) < 0.6
     assert max(abs(s.a_y) for s in driven) < 3.0
 
@@ -39,7 +39,7 @@ def test_its_recording_says_which_wave_was_on_top_and_replays_bit_for_bit(calibr
     (drive,) = replays.drives(recorded)
     assert [steers.name for _, steers in drive.remarks] == [f"stanley+{wave}" for wave in SHARES]
     same = replays.replayed_requests(drive, config, PATH)
-    assert same == len(drive.requests) > 900
+    assert same == len(drive.requests) > 600
 
 
 def test_the_estimates_are_recorded_once_a_second_and_come_out_bit_for_bit_again(calibration: Made) -> None:
@@ -47,7 +47,7 @@ def test_the_estimates_are_recorded_once_a_second_and_come_out_bit_for_bit_again
     (drive,) = replays.drives(recorded)
     estimators, same = replays.replayed_estimates(drive, recordings.config_of(recorded))
     recorded_estimates = recorded.of("/estimates")
-    assert same == len(drive.estimates) == len(recorded_estimates) > 40
+    assert same == len(drive.estimates) == len(recorded_estimates) > 25
     assert estimators.found() == calibration.world.watched.estimators.found()
     last = calibration.world.watched.found
     assert {name: recorded_estimates[-1][name] for name in last} == {name: q.value for name, q in last.items()}
