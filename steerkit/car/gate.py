@@ -55,7 +55,7 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
     kappa, turn = math.tan(last / ratio) / length, limits.jerk_max / (v * v) * dt
     step = limits.rate_max * dt
     sway, kappa_max = limits.arm / (v * dt), limits.a_y_max / (v * v)
-    right, left = ((sway * kappa + side * kappa_max) / (1.0 + sway) for side in (-1.0, 1.0))
+    right, left = (sway * kappa - kappa_max) / (1.0 + sway), (sway * kappa + kappa_max) / (1.0 + sway)
     low = max(last - step, ratio * math.atan(length * (kappa - turn)))
     high = min(last + step, ratio * math.atan(length * (kappa + turn)))
     low = max(low, min(last - q, ratio * math.atan(length * right)))
@@ -64,12 +64,11 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
 
     z = (out - last) / q
     n = max(-n_max, min(n_max, n_last + math.trunc(z + math.copysign(1e-6, z))))
-    limited = {
-        "delta_sw limit": abs(request) > limits.delta_sw_max,
-        "a_y limit": bound < abs(request) <= limits.delta_sw_max,
-        "rate limit": out != target,
-    }
-    return Verdict(True, n * q, ", ".join([name for name, acts in limited.items() if acts]))
+    size = abs(request)
+    why = "delta_sw limit" if size > limits.delta_sw_max else "a_y limit" if size > bound else ""
+    if out != target:
+        why = f"{why}, rate limit" if why else "rate limit"
+    return Verdict(True, n * q, why)
 
 
 def pessimistic(limits: GateLimits, speeds: Sequence[float]) -> float:
