@@ -133,7 +133,7 @@ def test_while_engaged_it_lets_go_in_time_for_good_and_says_why(name: str) -> No
     # the fault ends, everything is well again, the operator sleeps: nobody engages
     world.car.faults.clear()
     world.tampered = lambda basis, delta_sw: (basis, delta_sw)
-    world.until(world.t + 1.5)
+    world.until(world.t + 1.0)
     assert world.mode is outcome.mode or (case.to is Mode.STANDBY and world.mode is Mode.READY)
     assert max(s.t for s in world.sent if s.enable) == outcome.last_enabled
 
@@ -153,7 +153,7 @@ def test_in_every_other_state_nothing_moves_one_fault_after_the_other(mode: Mode
     began, hand = world.t, list(world.car.faults)
     for case in CASES.values():
         case.act(world)
-        world.until(world.t + 0.25)
+        world.until(world.t + 0.15)
         assert world.mode is mode
         world.car.faults[:], world.tampered = hand, lambda basis, delta_sw: (basis, delta_sw)
         world.until(world.t + 0.05)

@@ -44,7 +44,7 @@ def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path
     config, path = setup()
     recorder = recordings.Recording(tmp_path / "t.mcap", {f"file:{name}": text for name, text in config.texts.items()})
     world = engaged(block_of(clock=None, budget=None), recorder)
-    seen = watched(world, 10.0)
+    seen = watched(world, 7.0)
     recorder.close()
     assert world.mode is Mode.ENGAGED
     assert (seen["status"] == SOLVED).all()
@@ -52,7 +52,7 @@ def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path
     assert max(abs(s.delta_sw) for s in world.sent) > 0.5
     world.check_bus()
     (drive,) = [d for d in replays.drives(recordings.read(tmp_path / "t.mcap")) if d.requests]
-    assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 200
+    assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 140
 
 
 def test_a_late_solution_falls_back_to_the_plan_then_to_stanley_and_comes_back() -> None:

@@ -81,7 +81,7 @@ def commands(bench: dict[str, Any]) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize(("bench", "name"), [("", "stanley"), ("127.0.0.1:0", "mpc")], indirect=["bench"])
 def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str) -> None:
-    engaged = drive(bench["socket"], name, seconds=2.5)
+    engaged = drive(bench["socket"], name, seconds=2.0)
     bench["server"].terminate()
     assert bench["server"].wait(20.0) == 0
     assert engaged > 0
@@ -93,20 +93,20 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
     assert frames == same > 0
     (driven,) = replays.drives(recorded)
     same_asked = replays.replayed_requests(driven, config, path)
-    assert len(driven.requests) > 30
+    assert len(driven.requests) > 20
     assert driven.who == name
     if name == "mpc":  # a solution that came late in the drive does not in the replay
         assert same_asked > 0.5 * len(driven.requests)
     else:
         assert same_asked == len(driven.requests)
-    time.sleep(0.5)
+    time.sleep(0.3)  # it writes what it heard every 0.25 s
     heard = commands(bench)
     assert any(c["enable"] for c in heard)
     assert not heard[-1]["enable"]
 
 
 def test_kill_the_car_server(bench: dict[str, Any]) -> None:
-    drive(bench["socket"], seconds=1.5)
+    drive(bench["socket"], seconds=1.0)
     with CarClient(bench["socket"]) as link:
         os.kill(bench["server"].pid, signal.SIGKILL)
         bench["server"].wait(20.0)
@@ -172,10 +172,10 @@ def limited(size: int) -> None:
 
 
 def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path) -> None:
-    words = ["drive", "stanley", "--car", CONFIG, "--simulated", "--minutes", "0.08", "--quiet"]
+    words = ["drive", "stanley", "--car", CONFIG, "--simulated", "--minutes", "0.02", "--quiet"]
     command = [sys.executable, "-m", "steerkit", *words, "--recording", "drive.mcap"]
     done = subprocess.run(
-        command, cwd=tmp_path, preexec_fn=lambda: limited(60_000), capture_output=True, text=True, timeout=180.0
+        command, cwd=tmp_path, preexec_fn=lambda: limited(20_000), capture_output=True, text=True, timeout=180.0
     )
     assert done.returncode == 2, done.stderr
     assert "the car server ended badly: " in done.stderr

@@ -15,7 +15,7 @@ SCENARIO = Scenario(course="calibration")  # 262 m, bends of 17 m to either side
 
 
 def learned(setting: Setting) -> tuple[LearningRun, Log]:
-    """A run until its first complete round (at most 11 minutes of driving), and half a one with the policy it ended with."""
+    """A run until its first whole round (at most 11 minutes of driving), and half a one with the policy of its end."""
     run = learn(Experiment(setting=setting, scenario=SCENARIO, minutes=11.0, rounds=1, seed=2))
     return run, evaluate.drive(SCENARIO, run.policy, doe=setting.element(), seed=7, rounds=0.5, only_while_held=True)
 
