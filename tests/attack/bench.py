@@ -33,6 +33,10 @@ SETTLE = 2.5
 """When the operator has engaged and the car has settled: no attack begins before [s]."""
 
 
+AFTER = 0.3
+"""So long it is watched after the product has let go [s]: five neutral frames, and the kit's watchdog."""
+
+
 @cache
 def courses() -> dict[str, Course]:
     """The attacker's own courses."""
@@ -367,9 +371,9 @@ class Drive(Bench):
     def run(self) -> Drive:
         """Let the attack have its way on a settled drive, and go on for a while after the product has let go."""
         end = self.onset + self.attack.seconds
-        while self.t < end or self.t - 0.6 < self.ended() < math.inf:  # what it lets go with is seen whole
+        while self.t < end or self.t - AFTER < self.ended() < math.inf:  # what it lets go with is seen whole
             self.step()
-            if self.t > self.onset and self.mode != "ENGAGED" and self.ended() < self.t - 0.6:
+            if self.t > self.onset and self.mode != "ENGAGED" and self.ended() < self.t - AFTER:
                 break
         return self
 

@@ -55,7 +55,7 @@ def test_without_a_heartbeat_the_wheel_is_free_after_300_ms(name: str) -> None:
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_without_an_attack_the_product_s_own_controllers_drive_on(controller: str) -> None:
-    drive = driven_by(controller, Attack("none", seconds=8.0), speed=5.0)
+    drive = driven_by(controller, Attack("none", seconds=5.0), speed=5.0)
     assert math.isinf(drive.ended()), drive.cause()
     assert drive.excess() < 0.1
     assert {"nfq": 1.0}.get(controller, math.nan) == pytest.approx(drive.client.learning, nan_ok=True)
