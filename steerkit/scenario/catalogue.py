@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
@@ -97,6 +98,7 @@ def _delayed(design_model: DesignModel) -> Block:
     return delayed_stanley(design_model.vehicle, **{name: getattr(design_model, name) for name in steering})
 
 
+_log = logging.getLogger(__name__)
 _SOFT = {"share": 0.2, "k": 3.5, "k_soft": 15.0}
 """Stanley's gains where it recovers a car steered by torque: such cars overshoot small commands and creep to large ones
 (`benchmarks.plants.torque_car`), and with the gains of `stanley-delay`, which follow closer, they swing."""
@@ -150,10 +152,19 @@ def _fastest(numbers: Sequence[_T], make: Callable[[_T], Block], design_model: D
     if known not in _chosen:
         steered = SteeredCar(vehicle=car, matrices=LinearSingleTrack(vehicle=car).matrices, delay=delay, lag=lag)
 
-        def holds(value: _T) -> bool:
-            return least_damping(make(value), steered, _DOUBT, _HELD_AT) >= _DAMPED
+        def damped(value: _T) -> float:
+            return least_damping(make(value), steered, _DOUBT, _HELD_AT)
 
-        _chosen[known] = numbers[bisect_left(numbers[:-1], True, key=holds)]  # the slower, the better damped
+        place = bisect_left(numbers[:-1], True, key=lambda value: damped(value) >= _DAMPED)  # slower is better damped
+        value = _chosen[known] = numbers[place]
+        what = f"{type(make(value)).__name__} for {car.name}, {delay:.2f} s late, by torque"
+        if place == len(numbers) - 1 and (least := damped(value)) < _DAMPED:
+            doubt = f"gain {1 / _DOUBT.gain:.2f} to {_DOUBT.gain:.2f}, +-{_DOUBT.delay} s"
+            _log.warning(
+                f"{what}: damping ratio {least:.3f} within {doubt}, expected {_DAMPED} or more, and no slower law is there"
+            )
+        elif place:
+            _log.info(f"{what}: law {place + 1} of {len(numbers)}, as faster ones have no margin for what is doubted")
     return _chosen[known]
 
 

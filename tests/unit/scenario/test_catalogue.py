@@ -1,6 +1,8 @@
 """The catalogue: one recipe a controller, and what it is told is what it gets."""
 
 import json
+import logging
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -186,6 +188,20 @@ def test_by_torque_the_fastest_law_is_taken_that_is_damped_at_all_corners_of_the
     lqr: Any = make_controller("lqr-adaptive", belief)
     assert damped(lqr.blocks[5].block) >= 0.02
     assert damped(make_controller("lqr", belief)) < 0.0, "made for what is told alone"
+
+
+def test_it_is_said_that_a_slower_law_is_taken_and_warned_of_where_none_is_slow_enough(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    belief = replace(BELIEF, delay=0.2, lag=0.1, slew=5.0, a_y_limit=2.9)
+    with caplog.at_level(logging.INFO, logger="steerkit.scenario.catalogue"):
+        make_controller("lqr-adaptive", belief)
+    assert "by torque: law 3 of 6, as faster ones have no margin for what is doubted" in caplog.text
+    assert "WARNING" not in caplog.text
+    monkeypatch.setattr(catalogue, "_DAMPED", 0.9)
+    with caplog.at_level(logging.INFO, logger="steerkit.scenario.catalogue"):
+        make_controller("lqr-adaptive", replace(belief, a_y_limit=2.8))
+    assert re.search(r"WARNING .*: damping ratio 0\.\d+ within .*, expected 0.9 or more", caplog.text)
 
 
 # ---- a user's own -----------------------------------------------------------------------------------------------
