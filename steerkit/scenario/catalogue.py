@@ -161,7 +161,7 @@ def _fastest(numbers: Sequence[_T], make: Callable[[_T], Block], design_model: D
         if place == len(numbers) - 1 and (least := damped(value)) < _DAMPED:
             doubt = f"gain {1 / _DOUBT.gain:.2f} to {_DOUBT.gain:.2f}, +-{_DOUBT.delay} s"
             _log.warning(
-                f"{what}: damping ratio {least:.3f} within {doubt}, expected {_DAMPED} or more, and no slower law is there"
+                f"{what}: damping ratio {least:.3f} within {doubt}, expected {_DAMPED} or more; there is no slower law"
             )
         elif place:
             _log.info(f"{what}: law {place + 1} of {len(numbers)}, as faster ones have no margin for what is doubted")
