@@ -25,7 +25,7 @@ def driven(plant: Any, stanley: Stanley, path: Path, v: float, seconds: float, *
 
 def offset_on_the_circle(plant: Any, stanley: Stanley, v: float, left: bool) -> float:
     path = circle(RADIUS) if left else circle(RADIUS).reversed()
-    e = driven(plant, stanley, path, v, 25.0)["path.e"][-40:]
+    e = driven(plant, stanley, path, v, 15.0)["path.e"][-40:]
     assert np.ptp(e) < 1e-4  # steady
     return float(e[-1]) * (1.0 if left else -1.0)
 

@@ -41,7 +41,7 @@ CASES = [("stanley-delay", 12.0), ("stanley-delay", 20.0), ("lqr", 20.0), ("mpc"
 @pytest.mark.parametrize("gain", [0.75, 1.25])
 @pytest.mark.parametrize(("name", "v"), CASES)
 def test_a_car_steered_by_torque_is_brought_back_and_held(name: str, v: float, gain: float) -> None:
-    log = recovered(name, "sweeping-1003", v, gain, seconds=25.0)
+    log = recovered(name, "sweeping-1003", v, gain, seconds=20.0)
     back, e = judged(log)
     assert e.max() < HELD
     assert back < 14.0
@@ -51,11 +51,11 @@ def test_a_car_steered_by_torque_is_brought_back_and_held(name: str, v: float, g
 @pytest.mark.parametrize(("gain", "rate", "e"), [(0.75, 4.0, 0.16), (1.0, 4.0, 0.01), (1.25, 4.0, 0.1)])
 def test_stanley_behind_the_predictor_keeps_a_calm_wheel(gain: float, rate: float, e: float) -> None:
     """At 12 m/s the bends of this course ask for 3 degrees a second."""
-    log = recovered("stanley-delay", "sweeping-1003", 12.0, gain, seconds=30.0)
+    log = recovered("stanley-delay", "sweeping-1003", 12.0, gain, seconds=22.0)
     late = log.t > LATER
     assert degrees_of(rms(rates(log.t[late], log["car.delta_sw"][late]))) < rate
     assert judged(log)[1].max() < e
 
 
 def test_one_that_does_not_know_them_swings() -> None:
-    assert rms(judged(recovered("stanley", "sweeping-1003", 16.0, 1.0, seconds=25.0))[1]) > 1.0
+    assert rms(judged(recovered("stanley", "sweeping-1003", 16.0, 1.0, seconds=20.0))[1]) > 1.0

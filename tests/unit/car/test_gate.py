@@ -22,7 +22,7 @@ def kappa(delta_sw: float) -> float:
     return math.tan(delta_sw / LIMITS.steer_ratio) / LIMITS.wheelbase
 
 
-@settings(max_examples=2000)
+@settings(max_examples=600)
 @given(request=anything, last=anything, speeds=st.lists(anything, max_size=3), dt=anything)
 @example(request=math.nan, last=0.0, speeds=[5.0], dt=0.02)
 @example(request=1e308, last=9.07571, speeds=[], dt=math.inf)
@@ -42,7 +42,7 @@ def test_no_input_gets_a_bad_command_out(request: float, last: float, speeds: li
     assert counts == pytest.approx(round(counts), abs=1e-9)
 
 
-@settings(max_examples=1000)
+@settings(max_examples=400)
 @given(request=st.floats(-20, 20), last=angle, v=speed, dt=pause)
 def test_rate_curvature_and_its_change_are_bounded(request: float, last: float, v: float, dt: float) -> None:
     last = round(last / LIMITS.quantum) * LIMITS.quantum
@@ -59,7 +59,7 @@ def test_rate_curvature_and_its_change_are_bounded(request: float, last: float, 
         assert abs(out) <= abs(last)
 
 
-@settings(max_examples=500)
+@settings(max_examples=200)
 @given(goal=st.floats(-9, 9), start=angle, v=st.floats(0.0, 10.0))
 def test_a_steady_request_is_reached_up_to_the_curvature_bound(goal: float, start: float, v: float) -> None:
     last = round(start / LIMITS.quantum) * LIMITS.quantum * 0.999

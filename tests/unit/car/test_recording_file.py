@@ -136,7 +136,7 @@ def test_topics_are_known_without_the_first_chunk_that_tells_them() -> None:
     assert [m.topic for m in found.messages[:LINES]] == [m.topic for m in second.messages]
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(st.binary(max_size=200), st.integers(0, 30), st.booleans())
 def test_noise_is_no_recording(noise: bytes, head: int, tail: bool) -> None:
     with pytest.raises(ValueError, match=r"no recording of steerkit|an MCAP file of another"):

@@ -177,7 +177,7 @@ facts_strategy = st.builds(
 orders = st.sampled_from([None, *Order])
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(story=st.lists(st.tuples(st.just(GOOD) | facts_strategy, orders), min_size=1, max_size=40))
 def test_engaged_comes_only_from_ready_by_an_order_and_faults_stay(story: list[tuple[Facts, Order | None]]) -> None:
     state = Machine()
