@@ -40,7 +40,7 @@ class CalibratedWorld(World):
         super().__init__(s=0.0, v=v, config=config, path=PATH, **(UNTOLD | more))
         self.watched = Watched(config, self.packet)
         self.due = math.inf  # the human drives alone
-        self.until(10.0)
+        self.until(5.0)
         link: Any = self
         self.guided = Guided(config=config, path=PATH, link=link, minutes=minutes)
         resting = self.guided.follow.resting
