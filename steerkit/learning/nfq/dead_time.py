@@ -47,6 +47,9 @@ DRIFTS = 0.05
 """... and more for each piece: noise, and steering that is no dead time and three angles, move it by that."""
 MATTERS = 5e-4
 """Turn in a sample that is little [rad]: what changes less has not changed."""
+GAINED = 300.0
+"""Twice the log-likelihood by which two cars explain a record better than one, from which on they are two; noise and
+the first, wild seconds make up to 170 of it."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -94,12 +97,13 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
-    Of a car that has changed, what was recorded before that is left out (`since_change`).
+    Of a car that has changed, what was recorded before that is left out (`since_change`, `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
     most = min(LONGEST, round(longest / dt))
     record = since_change(record, most)
+    record = since_other_gain(record, dead_time_of(record, most))
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
         best = dead_time_of(record, most)
         part = aligned(record, best)
@@ -166,6 +170,43 @@ def since_change(record: Transitions, longest: int) -> Transitions:
         if gain.max() > CHANGED:
             return record.part(slice(ends[int(gain.argmax()) + 1], None))
     return record
+
+
+def since_other_gain(record: Transitions, samples: int) -> Transitions:
+    """The newest rows: those that agree on how the car answers its wheel, with a dead time of `samples`.
+
+    The newest 2, 4, 8, ... pieces of PIECE rows, N rows in all, are split in two. Least squares of the model of
+    `unexplained`, in which a gain and `keep` grow with v^2, leave S of the squares with one set of weights, S_old and
+    S_new with two. They are cut where N ln((S + L)/(S_old + S_new + L)) is largest, L = N MATTERS^2, if that is over
+    GAINED. Source: as of `since_change`.
+    """
+    w, v2 = record.s[:, E_DOT] / speed(record.s) - record.s[:, PSI_E], record.s[:, V] ** 2
+    doe, episode = record.s_next[:, DOE], np.cumsum(~follow(record))
+    row = np.arange(samples + 2, len(record) - 1)
+    row = row[episode[row - samples - 2] == episode[row + 1]][::-1]
+    pieces = len(row) // PIECE
+    if pieces < 2:
+        return record
+    row = row[: pieces * PIECE]
+    angles = [doe[row - samples - i] for i in range(3)]
+    x = np.column_stack((w[row], v2[row] * w[row], *angles, v2[row] * angles[0], np.ones(len(row)), w[row + 1]))
+    x[:, :-1] /= np.abs(x[:, :-1]).max(axis=0).clip(1e-9)
+    x = x.reshape(pieces, PIECE, -1)
+    newer = np.cumsum(x.transpose(0, 2, 1) @ x, axis=0)
+    for count in sorted({*(2**n for n in range(1, pieces.bit_length())), pieces}):
+        whole = newer[count - 1]
+        left = _left(newer[: count - 1]) + _left(whole - newer[: count - 1])
+        little = count * PIECE * MATTERS**2
+        gain = count * PIECE * np.log((_left(whole) + little) / (left + little))
+        if gain.max() > GAINED:
+            return record.part(slice(int(row[PIECE * (int(gain.argmax()) + 1) - 1]) - samples - 2, None))
+    return record
+
+
+def _left(squares: Array) -> Array:
+    """What least squares leaves of the last column's squares, from the columns' products (..., n, n); a trace more."""
+    some = squares + 1e-9 * np.trace(squares, axis1=-2, axis2=-1)[..., None, None] * np.eye(squares.shape[-1])
+    return 1.0 / np.linalg.inv(some)[..., -1, -1]
 
 
 def dead_time_of(record: Transitions, longest: int) -> int:

@@ -10,7 +10,7 @@ from steerkit.controllers.delay_compensator import FELT, LENGTH, UNLIMITED
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of, refined, since_change
+from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of, refined, since_change, since_other_gain
 from steerkit.learning.nfq.iterate import FitSetting, Learned, Problem, update
 from steerkit.learning.nfq.model import CarModel, Felt, with_heading_of_yaw_rate
 from steerkit.learning.nfq.rprop import Fit
@@ -146,6 +146,20 @@ def test_of_a_car_that_has_not_changed_the_whole_record_counts(car: CarModel, sp
             record = late(samples, car=car, speeds=speeds, n=1500, noise=noise, straight=0.05)
             record = with_heading_of_yaw_rate(record) if car.fast else record
             assert since_change(record, 12) is record
+            assert since_other_gain(record, samples) is record
+
+
+@pytest.mark.parametrize("changes", [{"now": 0.0042, "before": 0.0035}, {"back": 0.3}, {"slip": 4e-3}])
+def test_of_a_car_that_answers_otherwise_than_before_the_older_record_is_left_out(changes: dict[str, float]) -> None:
+    """Less for its wheel, sooner, or more so the faster it is; and that, and then as it was."""
+    one, other = (dict(car=car, n=1200, noise=0.002) for car in (CAR, replace(CAR, **changes)))
+    old, new, old_again = late(3, **one), late(3, **other, seed=1), late(3, **one, seed=2)
+    for record in (after(old, new), after(old, new, old_again)):
+        assert len(since_other_gain(record, 3)) == pytest.approx(1200, abs=150)
+        assert since_change(record, 12) is record
+    process = process_of(after(old, new), DESCRIPTION, 0.6)
+    for name, value in changes.items():
+        assert getattr(process.model, name) == pytest.approx(value, rel=0.25), name
 
 
 @pytest.mark.parametrize("samples", [0, 6])
