@@ -109,6 +109,8 @@ class _Forked(subprocess.Popen[str]):
 
     def _execute_child(self, args: Sequence[str], *how: Any) -> None:
         pipes = to_child, _, _, from_child, _, errors = how[9:15]  # as Popen orders them, -1: none
+        sys.stdout.flush()  # else the child writes what waits in it to its own output
+        sys.stderr.flush()
         self.pid = os.fork()
         if self.pid == 0:
             code = 1
