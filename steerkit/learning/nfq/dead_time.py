@@ -103,7 +103,8 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     record = with_heading_of_yaw_rate(record) if fast else record
     most = min(LONGEST, round(longest / dt))
     record = since_change(record, most)
-    record = since_other_gain(record, dead_time_of(record, most))
+    if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
+        record = since_other_gain(record, dead_time_of(record, most))
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
         best = dead_time_of(record, most)
         part = aligned(record, best)
