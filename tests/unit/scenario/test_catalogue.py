@@ -2,7 +2,6 @@
 
 import json
 import logging
-import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +15,7 @@ from steerkit.car.loop import controller_named, design_model_of
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import DelayPredictor
 from steerkit.controllers.margins import Doubt, SteeredCar, least_damping
+from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
@@ -193,15 +193,23 @@ def test_by_torque_the_fastest_law_is_taken_that_is_damped_at_all_corners_of_the
 def test_it_is_said_that_a_slower_law_is_taken_and_warned_of_where_none_is_slow_enough(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    belief = replace(BELIEF, delay=0.2, lag=0.1, slew=5.0, a_y_limit=2.9)
-    with caplog.at_level(logging.INFO, logger="steerkit.scenario.catalogue"):
-        make_controller("lqr-adaptive", belief)
-    assert "by torque: law 3 of 6, as faster ones have no margin for what is doubted" in caplog.text
-    assert "WARNING" not in caplog.text
-    monkeypatch.setattr(catalogue, "_DAMPED", 0.9)
-    with caplog.at_level(logging.INFO, logger="steerkit.scenario.catalogue"):
-        make_controller("lqr-adaptive", replace(belief, a_y_limit=2.8))
-    assert re.search(r"WARNING .*: damping ratio 0\.\d+ within .*, expected 0.9 or more", caplog.text)
+    """Of laws of which the fastest two are damped too little, and then of which all are."""
+    belief, ratios = replace(BELIEF, delay=0.2, lag=0.1, slew=5.0), {1.0: -0.1, 0.5: 0.01, 0.2: 0.03, 0.1: 0.3}
+    monkeypatch.setattr(catalogue, "least_damping", lambda block, *_: ratios[block.k])
+
+    def chosen(*numbers: float) -> float:
+        caplog.clear()
+        with caplog.at_level(logging.INFO, logger="steerkit.scenario.catalogue"):
+            return catalogue._fastest(numbers, lambda k: replace(Stanley.of(belief.vehicle), k=k), belief)
+
+    assert chosen(0.2, 0.1) == 0.2
+    assert not caplog.records
+    assert chosen(1.0, 0.5, 0.2, 0.1) == 0.2
+    assert "by torque: law 3 of 4, as faster ones have no margin for what is doubted" in caplog.text
+    assert caplog.records[0].levelno == logging.INFO
+    assert chosen(1.0, 0.5) == 0.5
+    assert "damping ratio 0.010 within gain 0.74 to 1.35, +-0.1 s, expected 0.02 or more" in caplog.text
+    assert caplog.records[0].levelno == logging.WARNING
 
 
 # ---- a user's own -----------------------------------------------------------------------------------------------
