@@ -279,12 +279,13 @@ def test_the_dead_time_that_a_filter_finds_counts_at_once_and_from_then_on_the_c
     assert state.steering.forecast.samples == 8, "trained before it was found"
     state.train(0.0, trusted=True)
     assert len(fed.trainer.jobs[-1].transitions) == 209, "few are of the new car"
+    fed.drive(10)
     assert state.arrives(0.5, 0.1)
     assert (state.counts.changed, state.steering.forecast.samples) == (209, 12)
     fed.trainer.done(forecast=replace(forecast, samples=4))
     fed.take_over()
     assert state.steering.forecast.samples == 12
-    fed.drive(160)
+    fed.drive(150)
     state.train(0.0, trusted=True)
     np.testing.assert_array_equal(fed.trainer.jobs[-1].transitions.s, state.transitions.s[209:])
     fed.trainer.done(forecast=replace(forecast, samples=11))
