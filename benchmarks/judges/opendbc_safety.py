@@ -1,4 +1,4 @@
-"""opendbc's safety code, the C that runs in a panda between computer and car, as the judge of every frame of a drive."""
+"""opendbc's safety code, the C that a panda runs between computer and car, as the judge of every frame of a drive."""
 
 from __future__ import annotations
 

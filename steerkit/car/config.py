@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import Field, asdict, dataclass, field, fields
+from dataclasses import Field, asdict, dataclass, field, fields, replace
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path as File
@@ -24,6 +24,8 @@ from steerkit.car.frames import MAX_JUMP, CommandWriter, FrameReader, Mapping, s
 from steerkit.car.gate import GateLimits
 from steerkit.car.motion import MotionLimits
 from steerkit.car.ports import checked, python_can
+from steerkit.car.production import platforms
+from steerkit.car.production.limits import PortLimits, limits_of
 from steerkit.car.state_machine import StateLimits
 from steerkit.diagram.units import FACTORS, degrees_of, radians_of
 from steerkit.paths.courses import course
@@ -34,7 +36,7 @@ from steerkit.vehicles.file import text_of, vehicle_of
 FORMAT = "steerkit car 1"
 TABLES = (
     *("format", "bus", "files", "course", "vehicle", "kit", "read", "protect", "write", "server", "limits"),
-    "controllers",
+    *("controllers", "port"),
 )
 _REPORT = {
     "delta_sw": ("rad", "ANGLE SWA STEERING_ANGLE"),
@@ -113,6 +115,12 @@ class CarConfig:
     """From a command to the motor's answer [s]."""
     controllers: tuple[str, ...] = ()
     """Controllers of a user's own that may drive this car, by name, such as `my_file.py:make`."""
+    port: str = ""
+    """The platform of opendbc that the car is, such as TESLA_MODEL_3; "" for a car with a kit."""
+    line: dict[str, Any] = field(default_factory=dict)
+    """How a port reaches its car: see `steerkit.car.production.line`."""
+    port_limits: PortLimits | None = None
+    """What the port makes of a command."""
     vehicle_file: str = ""
     """Name of the vehicle file that `vehicle` is from; "" for a car by its name."""
     texts: dict[str, str] = field(default_factory=dict, repr=False)
@@ -178,6 +186,10 @@ class CarConfig:
             for name, m in reader.mappings.items():
                 unit = DIMENSION.get(name, "1")
                 lines.append(f"           {name} [{unit}] = {m.gain:.6g} * {m.signal} + {m.offset:g}")
+        if self.port:
+            by = platforms.platform(self.port).steered_by
+            line = ", ".join(f"{k} = {v!r}" for k, v in self.line.items()) or "line = 'panda'"
+            lines.append(f"port     opendbc {self.port}, by {by}; {line}")
         return [
             *lines,
             f"write    {w.message.name} (0x{w.frame_id:X}){never}",
@@ -400,10 +412,14 @@ class Reading:
         if self.data.get("format") != FORMAT:
             self.mistakes = [f"format = {self.data.get('format')!r}, expected {FORMAT!r} in the first line"]
             self.end()
+        port, line = self.port()
         database = self.database()
         car, vehicle_file = self.car()
         readers, writer = self.reading(database), self.writing(database)
         gate, states, motion = self.limits(car, writer)
+        limits = limits_of(port, car) if port else None
+        if limits is not None:
+            gate = limits.within(gate)
         server = self.table("server", ("listen_only", "keep_recording"))
         made = {
             "bus": self.bus() if bus is None else bus,
@@ -424,6 +440,9 @@ class Reading:
             gate=gate,
             states=states,
             motion=motion,
+            port=port.name if port else "",
+            line=line,
+            port_limits=limits,
             texts=self.texts,
             **made,
         )
@@ -442,6 +461,28 @@ class Reading:
                 raise ValueError(f"{name} is not in it: no replay")
             self.texts[name] = read(self.folder / name)
         return self.texts[name]
+
+    def port(self) -> tuple[platforms.Platform | None, dict[str, Any]]:
+        """The platform of a production car and the line to it, and what such a car adds to the tables."""
+        table = self.table("port", ("opendbc", "line", "channel", "channels", "interface", "bitrate"))
+        if "port" not in self.data:
+            return None, {}
+        try:
+            found = platforms.platform(self.entry("port", table, "opendbc", str))
+        except ValueError as error:
+            self.wrong(in_one_line(error))
+            self.end()
+            raise
+        added = toml_of((File(str(files("steerkit.car.production"))) / "port.toml").read_text(encoding="utf-8"), "port")
+        for name, more in added.items():
+            own = self.table(name)
+            for key in own.keys() & more.keys() - {"dbc"}:
+                self.wrong(f"[{name}] {key}: the port of {found.name} gives it; leave it out")
+            both = {"dbc": [*own.get("dbc", ()), *more["dbc"]]} if "dbc" in more else more
+            self.data[name] = {**own, **both}
+        self.data.setdefault("vehicle", {"name": found.name.lower().replace("_", "-")})
+        self.data.setdefault("kit", {"lag": 0.1, "delay": found.delay})
+        return found, {key: value for key, value in table.items() if key != "opendbc"}
 
     def bus(self) -> dict[str, Any]:
         table = self.table("bus", ("interface", "channel", "bitrate", "options"))
@@ -721,8 +762,11 @@ _KINDS = {
 
 
 def loaded(config: str, channel: str = "") -> tuple[CarConfig, Path]:
-    """A configuration, on another bus if `channel` says so, and its course."""
-    loaded_config = load(config, bus=bus_of(channel))
+    """A configuration, on another bus if `channel` says so, and its course; `BUS+HOST:PORT` for a simulated port."""
+    bus, plus, line = channel.partition("+")
+    loaded_config = load(config, bus=bus_of(bus))
+    if plus:
+        loaded_config = replace(loaded_config, line={"line": "socket", "channel": line})
     return loaded_config, course_of(loaded_config)
 
 

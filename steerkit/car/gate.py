@@ -25,7 +25,7 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
 
     v      = max |speeds|, at least v_floor; v_max if one of them is no number, or none is known
     target = sat(request) to |delta_sw| <= delta_sw_max and |kappa| <= a_y_max/v^2
-    out    = sat(target) to last +- rate_max*dt and kappa(last) +- jerk_max/v^2*dt,  dt at most dt_max,
+    out    = sat(target) to last +- rate(v)*dt and kappa(last) +- jerk_max/v^2*dt,  dt at most dt_max,
              and, where |kappa| grows, to |v^2 kappa + v arm dkappa/dt| <= a_y_max, a_y of the centre of gravity, or
              by one quantum
     sent   = out, rounded towards `last` to a whole number of quanta
@@ -53,7 +53,7 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
     bound = min(limits.delta_sw_max, ratio * math.atan(length * limits.a_y_max / (v * v)))
     target = max(-bound, min(bound, request))
     kappa, turn = math.tan(last / ratio) / length, limits.jerk_max / (v * v) * dt
-    step = limits.rate_max * dt
+    step = limits.rate(v) * dt
     sway, kappa_max = limits.arm / (v * dt), limits.a_y_max / (v * v)
     right, left = (sway * kappa - kappa_max) / (1.0 + sway), (sway * kappa + kappa_max) / (1.0 + sway)
     low = max(last - step, ratio * math.atan(length * (kappa - turn)))

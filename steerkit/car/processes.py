@@ -24,6 +24,8 @@ from steerkit._support.errors import in_one_line
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import bus_of, check_pace, loaded
 from steerkit.car.ports import BusPort, SlcanPort
+from steerkit.car.production.line import SocketServer
+from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.recording import Recording, described
 from steerkit.car.server import CarServer
 from steerkit.car.simulated import Fault, SimulatedCar
@@ -96,10 +98,11 @@ def start_simulated(config: str, **options: Any) -> tuple[subprocess.Popen[str],
 
 
 def serve_simulated(
-    car: SimulatedCar,
+    car: SimulatedCar | ProductionCar,
     port: BusPort | SlcanPort,
     clock: Clock,
     *,
+    buses: SocketServer | None = None,
     log: TextIO | None = None,
     faults: TextIO | None = None,
     duration: float = float("inf"),
@@ -108,7 +111,7 @@ def serve_simulated(
     """Run a simulated car in real time on a port; it writes every command it hears to `log`, as JSON lines.
 
     faults: lines such as `drop pose 0.5` (kind, target, length [s], amount), each acting from when it is read.
-    parent: number of the process with which it ends; 0: with none.
+    parent: number of the process with which it ends; 0: with none. buses: of a production car.
     """
     if faults:
         os.set_blocking(faults.fileno(), False)
@@ -117,14 +120,23 @@ def serve_simulated(
     while clock.now() < end and parent in (0, os.getppid()):
         for frame_id, data in port.wait(clock.wall(car.next - clock.now())):
             t = clock.now()
-            car.receive(t, frame_id, data)
+            if isinstance(car, SimulatedCar):
+                car.receive(t, frame_id, data)
             if log and frame_id == car.config.writer.frame_id:
                 angle, enable, _ = car.config.writer.read(data)
                 log.write(f'{{"t": {t!r}, "data": "{data.hex()}", "enable": {int(enable)}, "angle": {angle!r}}}\n')
         now = clock.now()
         if now - car.t > 1.0:  # the machine stood still; so did the car
             car.t = now - 0.01
-        for _, frame_id, data in car.advance(now):
+        if isinstance(car, ProductionCar):
+            assert buses is not None
+            for frame in buses.receive():
+                car.receive(now, frame)
+            poses, frames = car.advance(now)
+            buses.send(frames)
+        else:
+            poses = car.advance(now)
+        for _, frame_id, data in poses:
             port.send(frame_id, data)
         if now - reported > 0.25:
             reported = now
@@ -203,13 +215,17 @@ def simulate(
     clock = Clock(scale=time_scale)
     port = BusPort(arguments) if arguments else SlcanPort(listen)
     true = replace(as_told.vehicle, steer_ratio=ratio * as_told.vehicle.steer_ratio)
-    simulated = SimulatedCar(as_told, path, vehicle=true, t0=clock.now(), **car)
-    print(f"channel {port.channel}", flush=True)
+    kind = ProductionCar if as_told.port else SimulatedCar
+    simulated = kind(as_told, path, vehicle=true, t0=clock.now(), **car)
+    buses = SocketServer() if as_told.port else None
+    print(f"channel {port.channel}{f'+{buses.channel}' if buses else ''}", flush=True)
     with contextlib.ExitStack() as stack:
+        if buses:
+            stack.callback(buses.close)
         stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None
         stack.callback(port.close)
         with contextlib.suppress(KeyboardInterrupt):
-            serve_simulated(simulated, port, clock, log=stream, faults=sys.stdin, parent=parent)
+            serve_simulated(simulated, port, clock, buses=buses, log=stream, faults=sys.stdin, parent=parent)
     return 0
 
 

@@ -22,6 +22,8 @@ from steerkit.car import protocol
 from steerkit.car.config import CarConfig
 from steerkit.car.core import Core, End, Event, Frame, Link, Note, Packet, RecordingFault, Reply, Send, Tick
 from steerkit.car.ports import lost, open_bus, python_can
+from steerkit.car.production import line, port
+from steerkit.car.production.platforms import platform
 from steerkit.car.recording import Recording
 from steerkit.paths.path import Path
 
@@ -71,6 +73,12 @@ class CarServer:
         os.set_blocking(self._wake, False)
         self._bus = _open(config.bus, config.listen_only)
         threading.Thread(target=self._listen_to_bus, name="bus", daemon=True).start()
+        self._port: port.Port | None = None
+        self._port_lock = threading.Lock()
+        if config.port:
+            self._port = port.Port(config)
+            self._line = line.line_of(config.line, platform(config.port))
+            threading.Thread(target=self._run_port, name="port", daemon=True).start()
         if recording is None:
             self._handle(RecordingFault(self.clock.now(), "the car server has no --recording"))
 
@@ -112,6 +120,9 @@ class CarServer:
                 _log.error("THE RECORDING IS NOT WHOLE: %s", self.recording.failed)
         with contextlib.suppress(Exception):
             self._bus.shutdown()
+        if self._port:
+            with contextlib.suppress(Exception):
+                self._line.close()
 
     # ---- one turn -------------------------------------------------------------------------------------------
 
@@ -175,6 +186,10 @@ class CarServer:
             self._handle(RecordingFault(self.clock.now(), wrong))
 
     def _transmit(self, frame: Send) -> None:
+        if self._port:
+            with self._port_lock:
+                self._port.command(self.clock.now(), frame.data)
+            return
         can = python_can()
         extended = self.config.writer.extended
         self._bus.send(can.Message(arbitration_id=frame.frame_id, data=frame.data, is_extended_id=extended))
@@ -250,6 +265,27 @@ class CarServer:
                 continue
             kind = "fd" if message.is_fd else "x" if message.is_extended_id else ""
             self._put((self.clock.now(), message.arbitration_id, bytes(message.data), kind))
+
+    def _run_port(self) -> None:
+        """The port's thread: a step every 10 ms; one that comes late is not made up for."""
+        assert self._port is not None
+        due = self.clock.now()
+        try:
+            while not self.stopping:
+                frames, now = self._line.receive(), self.clock.now()
+                with self._port_lock:
+                    for frame in frames:
+                        self._port.receive(now, frame)
+                    step = self._port.step(now)
+                if not self.config.listen_only:
+                    self._line.send(step.to_car, steering=self._port.steering, t=now)
+                for frame_id, data in step.reports:
+                    self._put((now, frame_id, data, ""))
+                due = max(due + port.STEP, now)
+                self.clock.sleep_until(due)
+        except Exception as error:
+            if not self.stopping:
+                self._put(lost(error))
 
     def _put(self, item: tuple[float, int, bytes, str] | Exception) -> None:
         self._frames.put(item)

@@ -43,6 +43,7 @@ FAULTS = {
     "torque": "the human's hand: a torque of `amount` [N m] (report)",
     "brake": "the human's foot on the brake, of a kit that reports it (report)",
     "accelerator": "the same on the accelerator (report)",
+    "door": "a door is open, of a production car (report)",
     "kit_fault": "the kit reports a power fault (report)",
     "timeout": "the kit reports that its watchdog ran out (report)",
     "disabled": "the kit says that it is not enabled (report)",
@@ -86,8 +87,8 @@ class SimulatedCar:
     """Car, kit, sensors and human; `advance` it in time, `receive` what the bus brings.
 
     config: the same as the car server's: the frames it reads are sent, the one it writes is understood. path: where the
-    human drives, by Stanley's law while the kit is off, at v_min to v_max [m/s], less in bends (`BENDS`). s [m], e [m]:
-    where it starts. t0 [s]: when.
+    human drives, by Stanley's law while the kit is off, at v_min to v_max [m/s], less in bends (a_y within bends
+    [m/s^2]). s [m], e [m]: where it starts. t0 [s]: when.
 
     What controllers do not know: vehicle, the car that it is (default: the configuration's); lag and delay [s] from a
     command to the wheel, which the human's hands do not have; offset [rad], which the road wheels see and the wheel's
@@ -110,13 +111,14 @@ class SimulatedCar:
         delay: float = 0.0,
         offset: float = 0.0,
         rate_zero: float = 0.0,
+        bends: float = BENDS,
     ):
         self.config, self.faults = config, list[Fault]()
         self.driver = Stanley.of(config.vehicle)
         self.t, self.k = t0, 0
         self.tracker = PathTracker(path=path, reference=config.vehicle.l_f, dt=STEP)
         speed = SpeedDriver(v_min=v_min, v_max=v_max, seed=seed, dt=STEP)
-        self.pedals = CurveSpeedDriver(path=path, driver=speed, a_y_max=BENDS, dt=STEP)
+        self.pedals = CurveSpeedDriver(path=path, driver=speed, a_y_max=bends, dt=STEP)
         self.hands, self.motor = SteeringActuator(lag=HANDS, dt=STEP), SteeringActuator(lag=lag, dt=STEP)
         self.delay, self.offset, self.rate_zero, self.turned = delay, offset, rate_zero, 0.0
         (x, y), psi = path.point(s), float(path.psi(s))
@@ -144,7 +146,7 @@ class SimulatedCar:
     def receive(self, t: float, frame_id: int, data: bytes) -> None:
         """A frame from the bus at time t [s]."""
         writer = self.config.writer
-        if frame_id != writer.frame_id or self._fault("deaf", t):
+        if frame_id != writer.frame_id or self.fault("deaf", t):
             return
         angle, enable, clear = writer.read(data)
         self.heard = t
@@ -152,7 +154,7 @@ class SimulatedCar:
             self.overridden = False
         if clear:
             self.timeout = False
-        ok = enable and not (self.timeout or self.overridden or self._fault("kit_fault", t))
+        ok = enable and not (self.timeout or self.overridden or self.fault("kit_fault", t))
         if ok:
             self.command = angle
             if not self.enabled:  # it goes on from the wheel as it is
@@ -192,15 +194,15 @@ class SimulatedCar:
             u = self.driver.U(*[known[name] for name in self.driver.U._fields])
             y = self.driver.output(t, x["driver"], u)
             self.steered, x["driver"] = y.delta_sw, self.driver.update(t, x["driver"], u, y)
-        self.overridden |= self._fault("override", t) is not None
+        self.overridden |= self.fault("override", t) is not None
         self.timeout |= self.enabled and t - self.heard >= WATCHDOG
-        self.enabled &= not (self.timeout or self.overridden or self._fault("kit_fault", t))
+        self.enabled &= not (self.timeout or self.overridden or self.fault("kit_fault", t))
         while self._coming and self._coming[0][0] <= t + 1e-9:
             self._reached = self._coming.popleft()[1]
         target = self._reached if self.enabled else self.steered
-        if self.enabled and self._fault("loose", t):
+        if self.enabled and self.fault("loose", t):
             target = motor.delta_sw
-        if self.enabled and self._fault("motor_sign", t):
+        if self.enabled and self.fault("motor_sign", t):
             target = -target
         x["tracker"] = self.tracker.update(t, x["tracker"], seen, place)
         x["pedals"] = self.pedals.update(t, x["pedals"], self.pedals.U(s=place.s), ())
@@ -232,20 +234,21 @@ class SimulatedCar:
             "brake": 0.0,
             "accelerator": 0.0,
         }
-        values |= {quantity: value for kind, (quantity, value) in _SAID.items() if self._fault(kind, t)}
-        if self._fault("kit_fault", t):
+        values |= {quantity: value for kind, (quantity, value) in _SAID.items() if self.fault(kind, t)}
+        if self.fault("kit_fault", t):
             values[self.config.fault_flags[0]] = 1.0
-        if torque := self._fault("torque", t):
+        if torque := self.fault("torque", t):
             values["torque"] = torque.amount or 5.0
         for kind, quantity in (("wheel_sign", "delta_sw"), ("gyro_sign", "r")):
-            if self._fault(kind, t):
+            if self.fault(kind, t):
                 values[quantity] = -values[quantity]
         for kind, target, quantity in (("jump", "", "x"), ("speed", "pose", "v"), ("speed", "report", "v_kit")):
-            if off := self._fault(kind, t, target):
+            if off := self.fault(kind, t, target):
                 values[quantity] += off.amount or 3.0
         return values
 
-    def _fault(self, kind: str, t: float, target: str = "") -> Fault | None:
+    def fault(self, kind: str, t: float, target: str = "") -> Fault | None:
+        """The fault of that kind that acts at time t [s], if there is one."""
         acting = (f for f in self.faults if f.kind == kind and f.target in (target or f.target) and f.active(t))
         return next(acting, None)
 
@@ -260,23 +263,23 @@ class SimulatedCar:
 
     def _send_one(self, reader: FrameReader, values: dict[str, float], target: str) -> None:
         t, frame_id = self.t, reader.frame_id
-        if self._fault("stuck", t, target):
+        if self.fault("stuck", t, target):
             values = self._stuck.setdefault(frame_id, values)
         else:
             self._stuck.pop(frame_id, None)
-        if self._fault("nan", t, target):
+        if self.fault("nan", t, target):
             flags = ("enabled", "override", "timeout", "brake", "accelerator", *self.config.fault_flags)
             values = {q: v if q in flags else math.nan for q, v in values.items()}
-        self._count[frame_id] += 6 if self._fault("counter", t, target) else 1
+        self._count[frame_id] += 6 if self.fault("counter", t, target) else 1
         data = reader.write(values, count=self._count[frame_id])
-        if self._fault("freeze", t, target):
+        if self.fault("freeze", t, target):
             data = self._last.get(frame_id, data)
         self._last[frame_id] = data
-        if self._fault("corrupt", t, target):
+        if self.fault("corrupt", t, target):
             broken = bytearray(data)
             broken[self._dice.randrange(len(data))] ^= 1 << self._dice.randrange(8)
             data = bytes(broken)
-        if self._fault("drop", t, target):
+        if self.fault("drop", t, target):
             return
-        delay = self._fault("delay", t, target)
+        delay = self.fault("delay", t, target)
         self._waiting.append((t + (delay.amount or 0.2 if delay else 0.0), frame_id, data))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import check_numbers, number, require
@@ -237,6 +238,9 @@ class GateLimits:
     """Largest |delta_sw| [rad]."""
     rate_max: float = number(radians_of(550.0), "rad/s", low=radians_of(10.0), high=radians_of(1000.0))
     """Fastest change of delta_sw [rad/s]."""
+    rates: tuple[tuple[float, float], ...] = ()
+    """Its fastest change by speed, of an interface that has such a table: (v [m/s], rate [rad/s]), a rate that falls
+    ever more slowly as v grows; straight lines between, the ends' beyond."""
     a_y_max: float = number(A_Y_MAX, "m/s^2", low=0.2, high=5.0)
     """|kappa| <= a_y_max/v^2 [m/s^2]."""
     jerk_max: float = number(JERK_MAX, "m/s^3", low=0.2, high=10.0)
@@ -259,11 +263,29 @@ class GateLimits:
     """Longest time that a change may be spread over [s]: a pause earns no jump."""
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
+        for name in self.__dataclass_fields__.keys() - {"rates"}:
             value = getattr(self, name)
             require(0.0 < value < math.inf, "GateLimits", f"{name} = {value}, expected a finite number > 0")
         ok = self.delta_sw_max / self.steer_ratio < 1.4 and self.dt_min <= self.dt_max and self.v_floor <= self.v_max
         require(ok, "GateLimits", "expected delta_sw_max/steer_ratio < 1.4 rad, dt_min <= dt_max, v_floor <= v_max")
+        slopes = [(b[1] - a[1]) / (b[0] - a[0]) if b[0] > a[0] else math.inf for a, b in pairwise(self.rates)]
+        falling = sorted(slopes) == slopes and all(slope <= 0.0 for slope in slopes)
+        positive = all(0.0 < rate < math.inf for _, rate in self.rates)
+        require(
+            falling and positive,
+            "GateLimits",
+            f"rates = {self.rates}, expected speeds that grow and rates > 0 that fall ever more slowly",
+        )
+
+    def rate(self, v: Scalar) -> Scalar:
+        """The fastest change of delta_sw at this speed [rad/s]: the largest of the table's lines, within its ends."""
+        if not self.rates:
+            return self.rate_max
+        (slowest, most), (fastest, least) = self.rates[0], self.rates[-1]
+        v, allowed = m.clip(v, slowest, fastest), least
+        for (v_0, rate_0), (v_1, rate_1) in pairwise(self.rates):
+            allowed = m.maximum(allowed, rate_0 + (rate_1 - rate_0) / (v_1 - v_0) * (v - v_0))
+        return m.minimum(m.minimum(allowed, most), self.rate_max)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -316,8 +338,8 @@ class GateModel:
         back = m.maximum(gate.jerk_max / (slow * slow) * dt - frames * rounding, 0.0)
         swing = (kappa + least) / (1.0 + gate.arm / (slow * dt)) - frames * rounding
         right = kappa - m.minimum(back, m.maximum(swing, 0.0))
-        low = m.maximum(before - gate.rate_max * dt, ratio * m.atan(length * right))
-        high = m.minimum(before + gate.rate_max * h, ratio * m.atan(length * left))
+        low = m.maximum(before - gate.rate(slow) * dt, ratio * m.atan(length * right))
+        high = m.minimum(before + gate.rate(fast) * h, ratio * m.atan(length * left))
         bound = m.minimum(ratio * m.atan(length * most), gate.delta_sw_max)
         tight = m.minimum(ratio * m.atan(length * least), gate.delta_sw_max)
         turned = m.clip(command, -tight, bound) - before + 0.0 * v  # a NaN in any of them stays

@@ -198,9 +198,7 @@ def _volkswagen(c: Said, p: Platform) -> dict[str, Signals]:
     return {
         "LWI_01": {"LWI_Lenkradwinkel": abs(c.angle_deg), "LWI_VZ_Lenkradwinkel": not left},
         "LH_EPS_03": {"EPS_HCA_Status": 4 if c.fault else 3, "EPS_Lenkmoment": 200 * c.hand},
-        "ESP_19": _wheels(
-            "ESP_VL_Radgeschw_02 ESP_VR_Radgeschw_02 ESP_HL_Radgeschw_02 ESP_HR_Radgeschw_02", kph
-        ),
+        "ESP_19": _wheels("ESP_VL_Radgeschw_02 ESP_VR_Radgeschw_02 ESP_HL_Radgeschw_02 ESP_HR_Radgeschw_02", kph),
         "ESP_05": {"ESP_Fahrer_bremst": c.brake},
         "Motor_14": {"MO_Fahrer_bremst": c.brake},
         "TSK_06": {"TSK_Status": 2 + c.cruise},
@@ -366,7 +364,12 @@ ASKS: dict[str, tuple[tuple[str, str, str, float], ...]] = {
     "volkswagen": (("HCA_01", "HCA_01_LM_Offset", "HCA_01_Sendestatus", 1.0), ("HCA_1", "LM_Offset", "", 1.0)),
 }
 """By maker: the messages that steer: name, signal of the value, signal of the request, sign."""
-MORE = {"ford": ("EngVehicleSpThrottle2",), "hyundai": ("EMS16",), "nissan": ("BRAKE_PEDAL",), "volkswagen": ("Motor_14", "GRA_ACC_01")}
+MORE = {
+    "ford": ("EngVehicleSpThrottle2",),
+    "hyundai": ("EMS16",),
+    "nissan": ("BRAKE_PEDAL",),
+    "volkswagen": ("Motor_14", "GRA_ACC_01"),
+}
 """By maker: messages that only the safety code reads, on the first bus."""
 SHORTER = {"BRAKE_PEDAL": 4}
 """Messages that are shorter on the bus than in their DBC, in bytes."""

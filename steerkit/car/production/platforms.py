@@ -20,6 +20,23 @@ NOT_CARS = ("mock", "body")
 """Makers in the library's list whose platforms are no cars."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class LateralMap:
+    """Lateral acceleration of a car that is steered by a torque u, a share of the largest one.
+
+        a_y = gain u + offset, less friction on the way: gain u moves by `friction` gain before the car follows.
+
+    Source: opendbc `car/interfaces.py`, torque_from_lateral_accel_linear, `car/lateral.py`, get_friction.
+    """
+
+    gain: float
+    """Lateral acceleration at the largest torque [m/s^2]."""
+    friction: float
+    """The share of the largest torque that friction takes [1]."""
+    offset: float = 0.0
+    """Lateral acceleration without torque, of a banked road or a wheel off its zero [m/s^2]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Platform:
     """A production car as opendbc knows it. Raises ValueError for one that is unknown, or only a dashcam."""
@@ -70,12 +87,21 @@ class Platform:
     @cached_property
     def controls(self) -> Any:
         """opendbc's `CarControllerParams`: the limits of its port."""
-        return import_module(f"opendbc.car.{self.maker}.values").CarControllerParams(self.params)
+        kind = import_module(f"opendbc.car.{self.maker}.values").CarControllerParams
+        return kind if kind.__init__ is object.__init__ else kind(self.params)
 
     @cached_property
     def full(self) -> float:
         """The code of its largest torque, where it is steered by one."""
         return float(getattr(self.controls, "STEER_MAX", 1.0)) if self.steered_by == "torque" else 1.0
+
+    @cached_property
+    def lateral(self) -> LateralMap:
+        """What its largest torque does to the car, as the library has measured or borrowed it; 1 for other cars."""
+        if self.steered_by != "torque":
+            return LateralMap(gain=1.0, friction=0.0)
+        row = import_module("opendbc.car.interfaces").get_torque_params()[self.name]
+        return LateralMap(gain=float(row["LAT_ACCEL_FACTOR"]), friction=float(row["FRICTION"]))
 
     @cached_property
     def motor_scale(self) -> float:

@@ -66,6 +66,7 @@ def course(name: str) -> Path:
     * genesis-rfs: a shorter drive, 477 m with one right bend down to 18 m, open;
     * iso3888-1, iso3888-2: lane changes for 9 m/s and 3 m/s^2 (`manoeuvres.lane_change`), open;
     * calibration: a figure of eight, 100 m by 35 m, bends down to 17 m, for `steerkit car calibrate`;
+    * highway: closed, 6 km, bends down to 400 m, for speeds of 12 to 30 m/s;
     * circle, straight, figure-eight, slalom, curvature-step: the formulas with their default sizes.
 
     Raises ValueError for another name, with the nearest one.
@@ -117,6 +118,7 @@ _RECORDED = {"genesis": "genesis.csv", "genesis-rfs": "genesis_rfs.csv"}
 _COURSES: dict[str, Callable[[], Path]] = {
     "paper": paper,
     **{name: partial(_recorded, name) for name in _RECORDED},
+    "highway": partial(random_course, 3, length=6000.0, max_kappa=0.0025, name="highway"),
     "circle": circle,
     "straight": straight,
     "figure-eight": figure_eight,

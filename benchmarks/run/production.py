@@ -1,0 +1,165 @@
+"""Drives of production cars in one process: controller, car server's core, port, opendbc's safety code, car."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from benchmarks.judges.opendbc_safety import SafetyJudge
+from steerkit.car import protocol
+from steerkit.car.config import CarConfig, Reading, course_of, shipped
+from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
+from steerkit.car.production.port import STEP, Port
+from steerkit.car.production.simulated import ProductionCar
+from steerkit.car.state_machine import Mode, Order
+from steerkit.paths.path import Path
+from steerkit._support.files import toml_of
+
+BEAT = 0.1
+
+
+def config_of(platform: str, course: str = "highway", **limits: float) -> CarConfig:
+    """The shipped file of a production car, for another platform and course."""
+    text = shipped("production-car.toml").read_text(encoding="utf-8")
+    data = toml_of(text, "car")
+    data["port"]["opendbc"] = platform
+    data["course"] = {"name": course}
+    data["limits"] |= limits
+    where = shipped("production-car.toml").parent
+    return Reading(platform, data, {"config.toml": text}, where).config(None)
+
+
+class PortedCar:
+    """A production car behind its port, for whoever speaks to a kit: `receive` commands, `advance` it in time."""
+
+    def __init__(self, config: CarConfig, path: Path, *, judge: SafetyJudge | None = None, **more: Any):
+        self.config, self.judge = config, judge
+        self.car, self.port = ProductionCar(config, path, judge=judge, **more), Port(config)
+        self.due = self.car.t + STEP
+        self.update_s = self.steps = 0.0
+
+    @property
+    def next(self) -> float:
+        """When the next frame may come [s]."""
+        return min(self.car.next, self.due)
+
+    faults: Any = property(lambda self: self.car.faults)
+    on_path: Any = property(lambda self: self.car.on_path)
+    now: Any = property(lambda self: self.car.now)
+
+    def receive(self, t: float, frame_id: int, data: bytes) -> None:
+        """A command of the car server."""
+        self.port.command(t, data)
+
+    def advance(self, t: float) -> list[tuple[float, int, bytes]]:
+        """The frames (when, id, data) for the car server until time t [s]."""
+        out: list[tuple[float, int, bytes]] = []
+        while self.due <= t + 1e-9:
+            poses, frames = self.car.advance(self.due)
+            out += poses
+            for frame in frames:
+                self.port.receive(self.due, frame)
+            begun = time.perf_counter()
+            step = self.port.step(self.due)
+            self.update_s, self.steps = self.update_s + time.perf_counter() - begun, self.steps + 1
+            for frame in step.to_car:
+                self.car.receive(self.due, frame)
+            out += [(self.due, frame_id, data) for frame_id, data in step.reports]
+            self.due += STEP
+        return out
+
+
+class ProductionWorld:
+    """A line to the car, as a `CarClient` is one: each `query` moves time on by a sample. The panel's keys are read."""
+
+    def __init__(
+        self, config: CarConfig, path: Path | None = None, *, judged: bool = True, dt: float = 0.05, **more: Any
+    ):
+        self.config, self.path, self.dt = config, path or course_of(config), dt
+        from steerkit.car.production.platforms import platform
+
+        self.judge = SafetyJudge(platform(config.port)) if judged else None
+        self.car = PortedCar(config, self.path, judge=self.judge, **more)
+        self.core = Core(config, self.path)
+        self.t, self.misses = 0.0, 0
+        self.last: protocol.Snapshot | None = None
+        self.modes: list[tuple[float, Mode, str]] = []
+        self.beat_due, self.beats = 0.01, True
+        self.refused: list[str] = []
+        self.watch: Callable[[], None] | None = None
+        self.handle(Link(0.0, 1, True))
+        self.packet(protocol.Hello(True))
+        self.handle(Link(0.0, 2, True))
+        self.handle(Packet(0.0, 2, protocol.encode(protocol.Hello(False))))
+        self.until(1.2)
+
+    # a line to the car
+    def query(self) -> protocol.Snapshot:
+        """A sample later; what is known then."""
+        self.until(self.t + self.dt)
+        self.packet(protocol.Query())
+        assert self.last is not None
+        return self.last
+
+    def wait(self, *modes: Mode, timeout: float, wall: float = 0.0) -> protocol.Snapshot:
+        """As a client's."""
+        return self.query()
+
+    def request(self, delta_sw: float) -> None:
+        """Ask for an angle [rad]."""
+        assert self.last is not None
+        self.packet(protocol.Request(self.last.t, delta_sw, self.misses))
+
+    def remark(self, text: str) -> None:
+        """Note who steers."""
+        self.packet(protocol.Remark(text))
+
+    def note(self, message: protocol.Message) -> None:
+        """Note what is believed."""
+        self.packet(message)
+
+    def order(self, order: Order) -> None:
+        """An order of the human at the panel."""
+        self.packet(protocol.Command(order))
+
+    def until(self, end: float) -> None:
+        """Let time pass."""
+        while True:
+            t = max(self.t, min(self.car.next, self.core.wake, self.beat_due, end))
+            self.t = t
+            if t >= self.beat_due:
+                self.beat_due = t + BEAT
+                if self.beats:
+                    self.handle(Packet(t, 2, protocol.encode(protocol.Beat())))
+            for when, frame_id, data in self.car.advance(t):
+                self.handle(Frame(t, when, frame_id, data))
+            self.handle(Tick(t))
+            if t >= end:
+                return
+
+    def packet(self, message: protocol.Message) -> None:
+        """A packet of the controller."""
+        self.handle(Packet(self.t, 1, protocol.encode(message)))
+
+    def handle(self, event: Event) -> None:
+        """What the core makes of an event."""
+        for out in self.core.handle(event):
+            match out:
+                case Send():
+                    self.car.receive(self.t, out.frame_id, out.data)
+                case Note(topic="state", values=v):
+                    self.modes.append((v["t"], v["to"], v["cause"]))
+                case Reply(data=data):
+                    answer = protocol.decode(data)
+                    if isinstance(answer, protocol.Snapshot):
+                        self.last = answer
+                    elif isinstance(answer, protocol.Refused):
+                        self.refused.append(answer.why)
+
+    @property
+    def mode(self) -> Mode:
+        """Who steers."""
+        return self.core.machine.mode

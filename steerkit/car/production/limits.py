@@ -1,0 +1,105 @@
+"""What a production car's port makes of a command, as limits that the gate, controllers and the learner know."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from steerkit.car.production.platforms import Platform
+from steerkit.diagram.units import radians_of
+from steerkit.task import A_Y_MAX, JERK_MAX
+from steerkit.vehicles import Vehicle
+from steerkit.vehicles.rollout import GateLimits
+
+CONTROL_HZ = 100.0
+"""Frames of a port's counter in a second."""
+WITHIN = 0.95
+"""The gate stays within this share of a port's limits: the port's own frames, and their rounding, lie between."""
+_WORST_ROLL = 0.06 * 9.81  # m/s^2: opendbc `safety/lateral.h`, AVERAGE_ROAD_ROLL
+
+
+@dataclass(frozen=True, kw_only=True)
+class PortLimits:
+    """The limits of a port and of its safety model on a command, as bounds on the steering wheel of that car.
+
+    By what the platform takes, v the speed, frame the time between two commands of its own:
+
+        angle       |delta_sw| <= delta_max, |delta_sw'| <= table(v)/frame           `safety/lateral.h`,
+                                                                                     steer_angle_cmd_checks
+                    or |v^2 kappa| <= a_y_max, |v^2 kappa'| <= jerk_max              steer_angle_cmd_checks_vm
+        curvature   |kappa| <= kappa_max, |kappa'| <= table(v)/frame,                steer_angle_cmd_checks
+                    |v^2 kappa| <= a_y_max, |kappa - r/v| <= error_max
+        torque      |u| <= 1, |u'| <= up/frame, so |a_y| <= gain (1 - friction),     steer_torque_cmd_checks
+                    |a_y'| <= gain up/frame
+
+    kappa = tan(delta_sw/steer_ratio)/(L + K v^2). Source: opendbc 0.3.1, the file named, and `car/MAKER/values.py`.
+    """
+
+    delta_max: float = math.inf
+    """[rad]"""
+    rate_max: float = math.inf
+    """[rad/s]"""
+    rates: tuple[tuple[float, float], ...] = ()
+    """(v [m/s], rate of the steering wheel [rad/s])"""
+    a_y_max: float = A_Y_MAX
+    """[m/s^2]"""
+    jerk_max: float = JERK_MAX
+    """[m/s^3]"""
+    error_max: float = math.inf
+    """By how much a commanded curvature may be off the measured one [1/m]."""
+    slew: float | None = None
+    """Of a car steered by torque: fastest change of its lateral acceleration [m/s^3]."""
+    torque_limit: float | None = None
+    """And the largest [m/s^2]."""
+
+    def within(self, limits: GateLimits) -> GateLimits:
+        """A gate's limits, no wider than these."""
+        from dataclasses import replace
+
+        fields = type(limits).__dataclass_fields__
+        least = {name: fields[name].metadata["number"][1] for name in ("delta_sw_max", "rate_max", "a_y_max")}
+        return replace(
+            limits,
+            delta_sw_max=max(least["delta_sw_max"], min(limits.delta_sw_max, self.delta_max)),
+            rate_max=max(least["rate_max"], min(limits.rate_max, WITHIN * self.rate_max)),
+            rates=tuple([(v, WITHIN * rate) for v, rate in self.rates]),
+            a_y_max=max(least["a_y_max"], min(limits.a_y_max, WITHIN * self.a_y_max)),
+            jerk_max=min(limits.jerk_max, WITHIN * self.jerk_max),
+        )
+
+
+def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
+    """The limits of a platform's port, for a car of these numbers."""
+    controls = platform.controls
+    step = float(getattr(controls, "STEER_STEP", 1))
+    frame = step / CONTROL_HZ
+    if platform.steered_by == "torque":
+        share = float(controls.STEER_DELTA_UP) / (1.0 if platform.maker == "honda" else platform.full * frame)
+        lateral = platform.lateral
+        most = lateral.gain * (1.0 - lateral.friction)
+        slew = min(JERK_MAX, share * lateral.gain)
+        return PortLimits(a_y_max=min(A_Y_MAX, most), jerk_max=slew, slew=slew, torque_limit=most)
+    angles: Any = controls.ANGLE_LIMITS
+    if getattr(angles, "MAX_LATERAL_ACCEL", 0.0):
+        return PortLimits(
+            delta_max=radians_of(angles.STEER_ANGLE_MAX),
+            rate_max=radians_of(angles.MAX_ANGLE_RATE) / frame,
+            a_y_max=float(angles.MAX_LATERAL_ACCEL),
+            jerk_max=float(angles.MAX_LATERAL_JERK),
+        )
+    speeds, rates = (np.asarray(column, float) for column in angles.ANGLE_RATE_LIMIT_UP)
+    if platform.steered_by == "angle":
+        table = tuple(zip(map(float, speeds), map(float, np.radians(rates) / frame)))
+        return PortLimits(delta_max=radians_of(angles.STEER_ANGLE_MAX), rate_max=table[0][1], rates=table)
+    length, ratio = vehicle.wheelbase, vehicle.steer_ratio
+    turning = [float(ratio * length * rate / frame) for rate in rates]
+    return PortLimits(
+        delta_max=float(ratio * math.atan(length * angles.STEER_ANGLE_MAX)),
+        rate_max=turning[0],
+        rates=tuple(zip(map(float, speeds), turning)),
+        a_y_max=3.0 - _WORST_ROLL,
+        error_max=float(controls.CURVATURE_ERROR),
+    )

@@ -1,0 +1,225 @@
+"""The line between a port and the buses of its car: a panda, adapters of python-can, or a simulated car's socket."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from steerkit._support.errors import known
+from steerkit.car.ports import lost, open_bus, python_can
+from steerkit.car.production.platforms import Platform
+from steerkit.car.production.port import Frame
+
+LINES = ("panda", "python-can", "socket")
+"""What a port may reach its car by: `[port] line`."""
+_HEAD = struct.Struct("<IBB")
+"""Of a frame in a socket: id, bus, length of the data."""
+_BEAT = 0.3  # s between two heartbeats; a panda without one for seconds no longer lets steer
+
+
+class Line(Protocol):
+    """Frames from the car's buses and to them."""
+
+    def receive(self) -> list[Frame]:
+        """All that has come; at once. Raises OSError when the line is lost."""
+
+    def send(self, frames: Sequence[Frame], *, steering: bool, t: float) -> None:
+        """Frames to the car; steering: do they ask for it?"""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+def line_of(table: dict[str, Any], platform: Platform) -> Line:
+    """The line that `[port]` describes, open; raises ValueError for a kind that is none, OSError where it is not there.
+
+    table: `line`, `channel` (a panda's serial number, "" for the only one; HOST:PORT of a simulated car), `channels`
+    (of python-can, by the number of the car's bus), `interface` and `bitrate` of python-can.
+    """
+    match known(str(table.get("line", "panda")), LINES, "[port] line"):
+        case "panda":
+            return PandaLine(platform, str(table.get("channel", "")))
+        case "socket":
+            return SocketLine(str(table.get("channel", "")))
+        case _:
+            return CanLine(table)
+
+
+class PandaLine:
+    """A panda, by its own library: USB, and the safety code of the platform inside it. Its harness has a relay that
+    puts the computer in the camera's place."""
+
+    def __init__(self, platform: Platform, serial: str):
+        try:
+            from panda import Panda
+        except ImportError as error:
+            raise OSError(
+                "[port] line = 'panda': its library is not installed: pip install pandacan, or give line = 'python-can'"
+            ) from error
+        try:
+            self._panda = Panda(serial or None)
+            for number, config in enumerate(platform.params.safetyConfigs):
+                if number == len(platform.params.safetyConfigs) - 1:
+                    self._panda.set_safety_mode(config.safetyModel.raw, config.safetyParam)
+        except Exception as error:  # whatever its library raises of USB
+            raise OSError(f"panda {serial or '(the only one)'}: cannot be opened ({error})") from error
+        self._beaten = -1e9
+
+    def receive(self) -> list[Frame]:
+        return [Frame(a, bytes(d), b) for a, d, b in self._panda.can_recv()]
+
+    def send(self, frames: Sequence[Frame], *, steering: bool, t: float) -> None:
+        if frames:
+            self._panda.can_send_many([(f.frame_id, f.data, f.bus) for f in frames])
+        if t - self._beaten >= _BEAT:
+            self._beaten = t
+            self._panda.send_heartbeat(steering)
+
+    def close(self) -> None:
+        with contextlib.suppress(Exception):
+            self._panda.set_safety_mode(0)  # silent: the car is its maker's again
+            self._panda.close()
+
+
+class CanLine:
+    """Adapters of python-can, one for each bus of the car. No safety code stands between: the gate and the port are
+    the last word, and the maker's camera must be disconnected by other means."""
+
+    def __init__(self, table: dict[str, Any]):
+        self._open = contextlib.ExitStack()
+        self._buses: dict[int, Any] = {}
+        more = {key: table[key] for key in ("interface", "bitrate") if key in table}
+        for number, channel in enumerate(table.get("channels", ())):
+            if channel != "":
+                self._buses[number] = open_bus({**more, "channel": channel})
+                self._open.callback(self._buses[number].shutdown)
+
+    def receive(self) -> list[Frame]:
+        frames = []
+        for number, bus in self._buses.items():
+            try:
+                while (message := bus.recv(0.0)) is not None:
+                    if not (message.is_error_frame or message.is_remote_frame):
+                        frames.append(Frame(message.arbitration_id, bytes(message.data), number))
+            except Exception as error:
+                raise lost(error) from error
+        return frames
+
+    def send(self, frames: Sequence[Frame], *, steering: bool, t: float) -> None:
+        can = python_can()
+        for frame_id, data, number in frames:
+            if number in self._buses:
+                message = can.Message(
+                    arbitration_id=frame_id, data=data, is_extended_id=frame_id >= 0x800, is_fd=len(data) > 8
+                )
+                try:
+                    self._buses[number].send(message)
+                except Exception as error:
+                    raise lost(error) from error
+
+    def close(self) -> None:
+        self._open.close()
+
+
+class Stream:
+    """Frames through a connected TCP socket, whole ones only."""
+
+    def __init__(self, end: socket.socket):
+        end.setblocking(False)
+        end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.end, self._text = end, b""
+
+    def read(self) -> list[Frame]:
+        """The frames that have come; raises OSError at the end of the stream."""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                text = self.end.recv(65536)
+                if not text:
+                    raise OSError("the simulated car is gone")
+                self._text += text
+        frames, at = [], 0
+        while at + _HEAD.size <= len(self._text):
+            frame_id, bus, length = _HEAD.unpack_from(self._text, at)
+            if at + _HEAD.size + length > len(self._text):
+                break
+            at += _HEAD.size
+            frames.append(Frame(frame_id, self._text[at : at + length], bus))
+            at += length
+        self._text = self._text[at:]
+        return frames
+
+    def write(self, frames: Sequence[Frame]) -> None:
+        """Send them; what does not fit is dropped, as a full adapter does."""
+        text = b"".join([_HEAD.pack(f.frame_id, f.bus, len(f.data)) + f.data for f in frames])
+        while text:
+            try:
+                text = text[self.end.send(text) :]
+            except BlockingIOError:
+                if not select.select((), (self.end,), (), 0.05)[1]:
+                    return
+
+
+class SocketLine:
+    """A simulated car in another process, at 127.0.0.1:PORT."""
+
+    def __init__(self, address: str):
+        host, _, port = address.removeprefix("socket://").rpartition(":")
+        if host not in ("127.0.0.1", "localhost") or not port.isdigit():
+            raise ValueError(f"[port] channel {address!r}: expected 127.0.0.1:PORT, of a simulated car")
+        self._stream = Stream(socket.create_connection((host, int(port)), timeout=10.0))
+
+    def receive(self) -> list[Frame]:
+        return self._stream.read()
+
+    def send(self, frames: Sequence[Frame], *, steering: bool, t: float) -> None:
+        self._stream.write(frames)
+
+    def close(self) -> None:
+        self._stream.end.close()
+
+
+class SocketServer:
+    """The simulated car's end: serves one port at a time."""
+
+    def __init__(self) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._server.setblocking(False)
+        self.channel = f"127.0.0.1:{self._server.getsockname()[1]}"
+        self._stream: Stream | None = None
+
+    @property
+    def ends(self) -> list[socket.socket]:
+        """What to wait for."""
+        return [self._server, *([self._stream.end] if self._stream else [])]
+
+    def receive(self) -> list[Frame]:
+        """What the port sent; a new port takes the place of the one before."""
+        with contextlib.suppress(BlockingIOError):
+            end, _ = self._server.accept()
+            self._hang_up()
+            self._stream = Stream(end)
+        try:
+            return self._stream.read() if self._stream else []
+        except OSError:
+            self._hang_up()
+            return []
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        """Frames to the port, if there is one."""
+        if self._stream:
+            with contextlib.suppress(OSError):
+                self._stream.write(frames)
+
+    def close(self) -> None:
+        """Free the port."""
+        self._hang_up()
+        self._server.close()
+
+    def _hang_up(self) -> None:
+        if self._stream:
+            self._stream.end.close()
+        self._stream = None

@@ -1,0 +1,211 @@
+"""The port of a production car: the car server's commands as the maker's frames, and the maker's frames as its reports.
+
+What the car server sees is a kit: a command with an angle, and a report. Between it and the car stands opendbc's
+interface for the platform, which reads the car's frames and writes those that steer it, within its own limits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any, NamedTuple
+
+from steerkit.car.config import CarConfig
+from steerkit.car.production.platforms import LateralMap, platform
+from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.estimators.torque_map import TorqueMap
+
+STEP = 0.01
+"""Period at which a port works [s]."""
+WATCHDOG = 0.1
+"""Age of a command from which the port no longer steers [s]."""
+SILENCE = 0.1
+"""Without any frame of the car for so long, nothing is sent [s]."""
+RELEASED = 0.1
+"""After a frame that the safety code rejected, steering rests so long [s]: port and safety code begin anew from the
+wheel as it is."""
+REJECTIONS = 3
+"""So many of them within a second are a fault."""
+REJECTED_BUS = 192
+"""A panda gives a frame back with its bus and this added when its safety code has rejected it."""
+SENT_BUS = 128
+"""And with this added when it was sent."""
+GEARS = ("drive", "eco", "sport", "low", "brake", "manumatic")
+P_GAIN, I_GAIN = 0.8, 0.3
+"""Of the torque: share of the missing lateral acceleration [1], and what it grows by in a second [1/s]."""
+_FRICTION_WIDTH = 0.3  # m/s^2: opendbc `car/lateral.py`, get_friction, so that it does not chatter
+_LARGEST_INTEGRAL = 0.5  # m/s^2
+
+
+class Frame(NamedTuple):
+    """A frame of the car's buses."""
+
+    frame_id: int
+    data: bytes
+    bus: int
+
+
+class Step(NamedTuple):
+    """What a step of the port gives."""
+
+    to_car: list[Frame]
+    reports: list[tuple[int, bytes]]
+    """(id, data) for the car server."""
+
+
+class Port:
+    """The port of `config`'s platform; `step` it every 10 ms. Equal frames at equal times give equal frames.
+
+    What goes to the car: for an angle the command, for a curvature kappa = tan(delta)/(L + K v^2) of it, for a torque
+    what the car's lateral-acceleration map says of a_y = v^2 kappa, friction included, and a proportional and integral
+    share of what a_y, as the wheel stands, still lacks. It steers while a command with `enable` is younger than
+    `WATCHDOG`, cruise control is engaged and nothing is wrong; else its frames ask for nothing, and without frames of
+    the car it sends none. Raises ValueError without opendbc.
+    Source: opendbc 0.3.1 (MIT), `car/interfaces.py`; the controller is that of openpilot's latcontrol_torque.
+    """
+
+    def __init__(self, config: CarConfig):
+        from opendbc.car import structs
+        from opendbc.car.can_definitions import CanData
+
+        self.config, self.platform = config, platform(config.port)
+        self._interface = self.platform.interface()
+        self._control, self._can_data = structs.CarControl, CanData
+        self._readers = [r for r in config.readers if r.name.startswith("PORT_")]
+        self._pending: list[tuple[int, bytes, int]] = []
+        self._heard = self._received = self._released = -math.inf
+        self._command, self._enable = math.nan, False
+        self._rejected: deque[float] = deque()
+        self._k = self._count = 0
+        lateral = self.platform.lateral
+        self._map = TorqueMap(gain=lateral.gain, friction=min(1.0, lateral.friction))
+        self._fit, self._integral, self._a_y = self._map.init(), 0.0, math.nan
+        self._torques = deque([0.0], maxlen=1 + round(max(self.platform.delay, STEP) / STEP))
+        self.steering = False
+        """Did the last frames ask for steering?"""
+        self.why = "nothing heard yet"
+        """Why it does not steer."""
+
+    @property
+    def lateral(self) -> LateralMap:
+        """What a torque does to this car, as far as it is known."""
+        return LateralMap(**self._map.found(self._fit)._asdict())
+
+    def receive(self, t: float, frame: Frame) -> None:
+        """A frame of the car's buses at time t [s]; those that a panda gives back are told from them by their bus."""
+        if frame.bus >= REJECTED_BUS:
+            self._rejected.append(t)
+            self._released = t
+            return
+        if frame.bus < SENT_BUS:
+            self._received = t
+        self._pending.append(frame)
+
+    def command(self, t: float, data: bytes) -> None:
+        """The car server's command frame at time t [s]."""
+        self._command, self._enable, _ = self.config.writer.read(data)
+        self._heard = t
+
+    def step(self, t: float) -> Step:
+        """Read what has come since the last step, and write the frames of this one; t [s]."""
+        nanos = round(t * 1e9)
+        frames = [self._can_data(*frame) for frame in self._pending]
+        self._pending.clear()
+        state = self._interface.update([(nanos, frames)])
+        while self._rejected and self._rejected[0] <= t - 1.0:
+            self._rejected.popleft()
+        flags = self._flags(state)
+        self._k += 1
+        silent = not t - self._received < SILENCE
+        self.steering = self._may_steer(t, state, flags)
+        sends: list[Frame] = []
+        if not silent:
+            request = self._request(state, self.steering)
+            _, frames_out = self._interface.apply(request.as_reader(), nanos)
+            sends = [Frame(a, bytes(d), b) for a, d, b in frames_out if b < SENT_BUS]
+        reports = self._reports(t, state, flags | {"CAN_INVALID": flags["CAN_INVALID"] or silent})
+        return Step(sends, reports if self._k % 2 == 0 and self._received > -math.inf else [])
+
+    def _flags(self, state: Any) -> dict[str, bool]:
+        """What must not be, by the names of the report's signals."""
+        numbers = state.steeringAngleDeg + state.vEgoRaw
+        return {
+            "CAN_INVALID": not state.canValid or state.canTimeout or not math.isfinite(numbers),
+            "STEERING_FAULT": state.steerFaultTemporary or state.steerFaultPermanent,
+            "SENSOR_FAULT": state.vehicleSensorsInvalid,
+            "FRAMES_REJECTED": len(self._rejected) >= REJECTIONS,
+            "CRUISE_OFF": not state.cruiseState.enabled,
+            "NOT_IN_DRIVE": str(state.gearShifter) not in GEARS,
+            "DOOR_OPEN": state.doorOpen,
+            "BELT_OPEN": state.seatbeltUnlatched,
+            "TOO_SLOW": state.vEgoRaw < self.platform.slowest,
+        }
+
+    def _may_steer(self, t: float, state: Any, flags: dict[str, bool]) -> bool:
+        wrong = [name for name, up in flags.items() if up]
+        human = {"steering": state.steeringPressed or state.steeringDisengage, "brake": state.brakePressed}
+        reasons = {
+            "no command": not self._enable,
+            "command old": not t - self._heard < WATCHDOG,
+            "command is no number": not math.isfinite(self._command),
+            ", ".join(wrong): bool(wrong),
+            f"human: {', '.join(name for name, on in human.items() if on)}": any(human.values()),
+            "a frame was rejected": t - self._released < RELEASED,
+        }
+        self.why = next((why for why, holds in reasons.items() if holds), "")
+        return not self.why
+
+    def _request(self, state: Any, active: bool) -> Any:
+        control = self._control()
+        control.enabled = control.latActive = active
+        v, to = max(float(state.vEgoRaw), 0.0), control.actuators
+        wanted = self._command if active else radians_of(state.steeringAngleDeg)
+        match self.platform.steered_by:
+            case "angle":
+                to.steeringAngleDeg = float(degrees_of(wanted))
+            case "curvature":
+                to.curvature = -float(self._kappa(wanted, v))  # opendbc counts it to the right
+            case _:
+                to.torque = self._torque(state, wanted, v, active)
+        return control
+
+    def _kappa(self, delta_sw: float, v: float) -> float:
+        car = self.config.vehicle
+        return math.tan(delta_sw / car.steer_ratio) / (car.wheelbase + car.understeer_gradient * v * v)
+
+    def _torque(self, state: Any, wanted: float, v: float, active: bool) -> float:
+        a_y = v * v * self._kappa(radians_of(state.steeringAngleDeg), v)
+        turning, self._a_y = (a_y - self._a_y) / STEP, a_y
+        if not active:
+            self._integral = 0.0
+            self._torques.append(0.0)
+            return 0.0
+        self._fit = self._map.update(self._fit, u=self._torques[0], a_y=a_y, turning=turning, dt=STEP)
+        known = self._map.found(self._fit)
+        goal = v * v * self._kappa(wanted, v)
+        missing = goal - a_y
+        asked = goal - known.offset + P_GAIN * missing + self._integral
+        rubs = known.friction * max(-1.0, min(1.0, missing / _FRICTION_WIDTH))
+        torque = asked / known.gain + rubs
+        if abs(torque) < 1.0:
+            reached = self._integral + I_GAIN * missing * STEP
+            self._integral = max(-_LARGEST_INTEGRAL, min(_LARGEST_INTEGRAL, reached))
+        torque = max(-1.0, min(1.0, torque))
+        self._torques.append(torque)
+        return torque
+
+    def _reports(self, t: float, state: Any, flags: dict[str, bool]) -> list[tuple[int, bytes]]:
+        self._count += self._k % 2 == 0
+        values = {
+            "delta_sw": radians_of(state.steeringAngleDeg),
+            "echo": self._command if math.isfinite(self._command) else 0.0,
+            "v_kit": float(state.vEgoRaw),
+            "torque": 0.0,  # in units of its maker's: what it means is in `override`
+            "enabled": float(self.steering or (self._enable and t - self._released < RELEASED)),
+            "override": float(state.steeringPressed or state.steeringDisengage),
+            "timeout": float(self._enable and not t - self._heard < WATCHDOG),
+            "brake": float(state.brakePressed),
+            "accelerator": float(state.gasPressed),
+            **{f"fault:{name}": float(up) for name, up in flags.items()},
+        }
+        return [(reader.frame_id, reader.write(values, count=self._count)) for reader in self._readers]
