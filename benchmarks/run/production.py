@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from benchmarks.judges.opendbc_safety import SafetyJudge
+from steerkit._support.files import toml_of
 from steerkit.car import protocol
 from steerkit.car.config import CarConfig, Reading, course_of, shipped
 from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
@@ -16,7 +15,6 @@ from steerkit.car.production.port import STEP, Port
 from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.state_machine import Mode, Order
 from steerkit.paths.path import Path
-from steerkit._support.files import toml_of
 
 BEAT = 0.1
 

@@ -193,12 +193,15 @@ def design_model_of(config: CarConfig) -> DesignModel:
     The delay is that from command to wheel, as it was measured: nothing is added to it.
     """
     stop = min(float(config.vehicle.delta_sw_max), config.gate.delta_sw_max)
+    port = config.port_limits
     return DesignModel(
         vehicle=replace(config.vehicle, delta_sw_max=stop),
         path=course_of(config),
         delay=config.delay,
-        lag=config.lag,
-        rate_limit=min(DesignModel.rate_limit, config.gate.rate_max),
+        lag=config.lag + (port.late if port else 0.0),
+        rate_limit=min(DesignModel.rate_limit, float(config.gate.rate(config.states.v_engage_max))),
+        slew=port.slew if port else None,
+        a_y_limit=port.torque_limit if port else None,
         budget=BUDGET,
         clock=time.perf_counter,
     )

@@ -194,7 +194,7 @@ def _predictive(name: str) -> Callable[[DesignModel], Block]:
             delay=model.delay + 0.5 * model.hold,
             lag=model.lag,
             rate_limit=min(model.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
-            **({} if model.slew is None else {"q_rate": _Q_RATE_OF_TORQUE}),
+            **({} if model.slew is None else {"q_rate": _Q_RATE_OF_TORQUE * max(1.0, 5.0 / model.slew) ** 2.5}),
             **({} if model.a_y_limit is None else {"a_y_limit": min(model.a_y_limit, kind.a_y_limit)}),
             fallback=_stanley(model),
             budget=model.budget,

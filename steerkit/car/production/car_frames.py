@@ -363,7 +363,8 @@ ASKS: dict[str, tuple[tuple[str, str, str, float], ...]] = {
     ),
     "volkswagen": (("HCA_01", "HCA_01_LM_Offset", "HCA_01_Sendestatus", 1.0), ("HCA_1", "LM_Offset", "", 1.0)),
 }
-"""By maker: the messages that steer: name, signal of the value, signal of the request, sign."""
+"""By maker: the messages that steer: name, signal of the value, signal of the request, sign; Toyota's first one takes an
+angle, and only cars that are steered by one heed it."""
 MORE = {
     "ford": ("EngVehicleSpThrottle2",),
     "hyundai": ("EMS16",),
@@ -402,7 +403,8 @@ class CarFrames:
         self._asks = {}
         dbc = next(iter(interface.can_parsers.values())).dbc
         for name, value, active, sign in ASKS[platform.maker]:
-            if message := dbc.name_to_msg.get(name):
+            heeded = name != ("STEERING_LKA" if platform.steered_by == "angle" else "STEERING_LTA")
+            if heeded and (message := dbc.name_to_msg.get(name)):
                 self._asks[message.address] = (message, value, active, sign)
 
     def _says(self, said: Said) -> dict[str, Signals]:
@@ -424,8 +426,8 @@ class CarFrames:
         protect = PROTECTS.get(self.platform.maker)
         return data if protect is None else bytes(protect(message.name, bytearray(data), self._step))
 
-    def command(self, frame_id: int, data: bytes) -> Command | None:
-        """What a frame from the computer asks of the steering; None for one that does not steer."""
+    def command(self, frame_id: int, data: bytes, v: float) -> Command | None:
+        """What a frame from the computer asks of the steering at v [m/s]; None for one that does not steer."""
         from opendbc.can.parser import get_raw_value
 
         if frame_id not in self._asks:
@@ -442,7 +444,7 @@ class CarFrames:
         if self.platform.maker == "volkswagen":
             asked *= -1.0 if read("HCA_01_LM_OffSign" if "HCA_01_LM_OffSign" in message.sigs else "LM_OffSign") else 1.0
         on = read(active) != 0.0 if active else asked != 0.0
-        return Command(asked / self.platform.full if self.platform.steered_by == "torque" else asked, on)
+        return Command(asked / self.platform.full_at(v), on)
 
 
 def _protect_ford(name: str, data: bytearray, count: int) -> bytearray:

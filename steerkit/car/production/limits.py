@@ -18,6 +18,9 @@ CONTROL_HZ = 100.0
 """Frames of a port's counter in a second."""
 WITHIN = 0.95
 """The gate stays within this share of a port's limits: the port's own frames, and their rounding, lie between."""
+_KEPT = 0.5
+"""Of a slow torque controllers count on this share: the rest is what it takes to turn friction round. With all of it
+told, LQR and MPC swing by a metre on the slowest (0.6 of the largest torque in a second)."""
 _WORST_ROLL = 0.06 * 9.81  # m/s^2: opendbc `safety/lateral.h`, AVERAGE_ROAD_ROLL
 
 
@@ -51,9 +54,11 @@ class PortLimits:
     error_max: float = math.inf
     """By how much a commanded curvature may be off the measured one [1/m]."""
     slew: float | None = None
-    """Of a car steered by torque: fastest change of its lateral acceleration [m/s^3]."""
+    """Of a car steered by torque: fastest change of its lateral acceleration that controllers count on [m/s^3]."""
     torque_limit: float | None = None
     """And the largest [m/s^2]."""
+    late: float = 0.0
+    """And what turning its friction round takes in the mean [s], for controllers more lag."""
 
     def within(self, limits: GateLimits) -> GateLimits:
         """A gate's limits, no wider than these."""
@@ -81,7 +86,8 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
         lateral = platform.lateral
         most = lateral.gain * (1.0 - lateral.friction)
         slew = min(JERK_MAX, share * lateral.gain)
-        return PortLimits(a_y_max=min(A_Y_MAX, most), jerk_max=slew, slew=slew, torque_limit=most)
+        late = 0.5 * lateral.gain * lateral.friction / slew
+        return PortLimits(a_y_max=min(A_Y_MAX, most), jerk_max=slew, slew=_KEPT * slew, torque_limit=most, late=late)
     angles: Any = controls.ANGLE_LIMITS
     if getattr(angles, "MAX_LATERAL_ACCEL", 0.0):
         return PortLimits(

@@ -10,6 +10,8 @@ from functools import cache, cached_property
 from importlib import import_module
 from typing import Any
 
+import numpy as np
+
 from steerkit._support.errors import known
 
 INSTALL = (
@@ -94,6 +96,11 @@ class Platform:
     def full(self) -> float:
         """The code of its largest torque, where it is steered by one."""
         return float(getattr(self.controls, "STEER_MAX", 1.0)) if self.steered_by == "torque" else 1.0
+
+    def full_at(self, v: float) -> float:
+        """The same at v [m/s]: some makers' grows as the car slows down."""
+        lookup = getattr(self.controls, "STEER_MAX_LOOKUP", None)
+        return self.full if lookup is None else float(np.interp(v, *lookup))
 
     @cached_property
     def lateral(self) -> LateralMap:

@@ -31,9 +31,9 @@ REJECTED_BUS = 192
 SENT_BUS = 128
 """And with this added when it was sent."""
 GEARS = ("drive", "eco", "sport", "low", "brake", "manumatic")
-P_GAIN, I_GAIN = 0.8, 0.3
+P_GAIN, I_GAIN = 0.3, 0.3
 """Of the torque: share of the missing lateral acceleration [1], and what it grows by in a second [1/s]."""
-_FRICTION_WIDTH = 0.3  # m/s^2: opendbc `car/lateral.py`, get_friction, so that it does not chatter
+_FRICTION_WIDTH = 0.05  # m/s^2: a change of what is wanted after which friction is believed to act the other way
 _LARGEST_INTEGRAL = 0.5  # m/s^2
 
 
@@ -57,8 +57,9 @@ class Port:
     """The port of `config`'s platform; `step` it every 10 ms. Equal frames at equal times give equal frames.
 
     What goes to the car: for an angle the command, for a curvature kappa = tan(delta)/(L + K v^2) of it, for a torque
-    what the car's lateral-acceleration map says of a_y = v^2 kappa, friction included, and a proportional and integral
-    share of what a_y, as the wheel stands, still lacks. It steers while a command with `enable` is younger than
+    what the car's lateral-acceleration map says of a_y = v^2 kappa: friction acts against the way in which that changed
+    last; and a proportional and integral share of what a_y, as the wheel stands, lacks of what was wanted so long ago
+    as the steering takes. It steers while a command with `enable` is younger than
     `WATCHDOG`, cruise control is engaged and nothing is wrong; else its frames ask for nothing, and without frames of
     the car it sends none. Raises ValueError without opendbc.
     Source: opendbc 0.3.1 (MIT), `car/interfaces.py`; the controller is that of openpilot's latcontrol_torque.
@@ -80,6 +81,7 @@ class Port:
         lateral = self.platform.lateral
         self._map = TorqueMap(gain=lateral.gain, friction=min(1.0, lateral.friction))
         self._fit, self._integral, self._a_y = self._map.init(), 0.0, math.nan
+        self._rubs, self._goals = 0.0, deque([math.nan], maxlen=1 + round((config.delay + config.lag) / STEP))
         self._torques = deque([0.0], maxlen=1 + round(max(self.platform.delay, STEP) / STEP))
         self.steering = False
         """Did the last frames ask for steering?"""
@@ -177,16 +179,19 @@ class Port:
         a_y = v * v * self._kappa(radians_of(state.steeringAngleDeg), v)
         turning, self._a_y = (a_y - self._a_y) / STEP, a_y
         if not active:
-            self._integral = 0.0
+            self._integral = self._rubs = 0.0
             self._torques.append(0.0)
+            self._goals.clear()
             return 0.0
         self._fit = self._map.update(self._fit, u=self._torques[0], a_y=a_y, turning=turning, dt=STEP)
         known = self._map.found(self._fit)
         goal = v * v * self._kappa(wanted, v)
-        missing = goal - a_y
+        changed = goal - (self._goals[-1] if self._goals else a_y)
+        self._rubs = max(-1.0, min(1.0, self._rubs + changed / _FRICTION_WIDTH))
+        self._goals.append(goal)
+        missing = self._goals[0] - a_y
         asked = goal - known.offset + P_GAIN * missing + self._integral
-        rubs = known.friction * max(-1.0, min(1.0, missing / _FRICTION_WIDTH))
-        torque = asked / known.gain + rubs
+        torque = asked / known.gain + known.friction * self._rubs
         if abs(torque) < 1.0:
             reached = self._integral + I_GAIN * missing * STEP
             self._integral = max(-_LARGEST_INTEGRAL, min(_LARGEST_INTEGRAL, reached))

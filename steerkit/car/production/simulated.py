@@ -44,7 +44,7 @@ def speeds_of(config: CarConfig) -> tuple[float, float]:
     """The speeds between which the simulated human drives [m/s]: those that the port steers at, and the file allows."""
     slowest = max(12.0, platform(config.port).slowest + 1.5, config.states.v_engage_min)
     fastest = min(config.states.v_engage_max, config.states.v_max - 1.0)
-    return min(slowest, fastest), min(slowest + 4.0, fastest)
+    return min(slowest, fastest), min(max(slowest + 1.0, 16.0), fastest)
 
 
 class ProductionCar:
@@ -112,7 +112,7 @@ class ProductionCar:
             return
         if self.car.fault("deaf", t):
             return
-        command = self.frames.command(frame.frame_id, frame.data)
+        command = self.frames.command(frame.frame_id, frame.data, float(self.car.now.v))
         if command is None:
             return
         self._heard = t
