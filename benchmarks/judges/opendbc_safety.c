@@ -49,4 +49,35 @@ void judge_tick(unsigned int t) {
 int judge_allowed(void) { return controls_allowed; }
 int judge_relay(void) { return relay_malfunction; }
 int judge_invalid(void) { return safety_rx_checks_invalid; }
-void judge_allow(int yes) { controls_allowed = yes; }
+
+/* What tx hooks of steering frames change, kept so that a frame can be judged without being sent. */
+static struct {
+  int torque, rt_torque, valid, invalid, angle;
+  uint32_t ts_torque, ts_mismatch, ts_angle, rt_angle;
+  bool allowed, relay;
+} kept;
+
+static void keep(void) {
+  kept.torque = desired_torque_last; kept.rt_torque = rt_torque_last;
+  kept.valid = valid_steer_req_count; kept.invalid = invalid_steer_req_count; kept.angle = desired_angle_last;
+  kept.ts_torque = ts_torque_check_last; kept.ts_mismatch = ts_steer_req_mismatch_last;
+  kept.ts_angle = ts_angle_check_last; kept.rt_angle = rt_angle_msgs;
+  kept.allowed = controls_allowed; kept.relay = relay_malfunction;
+}
+
+static void restore(void) {
+  desired_torque_last = kept.torque; rt_torque_last = kept.rt_torque;
+  valid_steer_req_count = kept.valid; invalid_steer_req_count = kept.invalid; desired_angle_last = kept.angle;
+  ts_torque_check_last = kept.ts_torque; ts_steer_req_mismatch_last = kept.ts_mismatch;
+  ts_angle_check_last = kept.ts_angle; rt_angle_msgs = kept.rt_angle;
+  controls_allowed = kept.allowed; relay_malfunction = kept.relay;
+}
+
+int judge_would_send(unsigned int t, unsigned int addr, unsigned int bus, const unsigned char *data, int length,
+                     int allowed) {
+  keep();
+  controls_allowed = controls_allowed && allowed;
+  int passes = judge_send(t, addr, bus, data, length);
+  restore();
+  return passes;
+}

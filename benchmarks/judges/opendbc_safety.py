@@ -48,6 +48,10 @@ class SafetyJudge:
         """May this frame go to the car?"""
         return bool(self._c.judge_send(_micro(t), frame_id, bus, data, len(data)))
 
+    def would_pass(self, t: float, frame_id: int, data: bytes, bus: int, *, allowed: bool = True) -> bool:
+        """Would it pass, if it were sent now; allowed: as things stand, else as if the computer might not steer."""
+        return bool(self._c.judge_would_send(_micro(t), frame_id, bus, data, len(data), allowed))
+
     @property
     def allowed(self) -> bool:
         """May the computer steer?"""

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
 from benchmarks.judges.opendbc_safety import SafetyJudge
 from steerkit._support.files import toml_of
-from steerkit.car import protocol
+from steerkit.car import core, protocol
 from steerkit.car.config import CarConfig, Reading, course_of, shipped
-from steerkit.car.core import Core, Event, Frame, Link, Note, Packet, Reply, Send, Tick
-from steerkit.car.production.port import STEP, Port
+from steerkit.car.core import Core, Event, Link, Note, Packet, Reply, Send, Tick
+from steerkit.car.production.platforms import platform
+from steerkit.car.production.port import STEP, Frame, Port
 from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.state_machine import Mode, Order
 from steerkit.paths.path import Path
@@ -19,15 +19,15 @@ from steerkit.paths.path import Path
 BEAT = 0.1
 
 
-def config_of(platform: str, course: str = "highway", **limits: float) -> CarConfig:
+def config_of(name: str, course: str = "highway", **limits: float) -> CarConfig:
     """The shipped file of a production car, for another platform and course."""
     text = shipped("production-car.toml").read_text(encoding="utf-8")
     data = toml_of(text, "car")
-    data["port"]["opendbc"] = platform
+    data["port"]["opendbc"] = name
     data["course"] = {"name": course}
     data["limits"] |= limits
     where = shipped("production-car.toml").parent
-    return Reading(platform, data, {"config.toml": text}, where).config(None)
+    return Reading(name, data, {"config.toml": text}, where).config(None)
 
 
 class PortedCar:
@@ -37,7 +37,10 @@ class PortedCar:
         self.config, self.judge = config, judge
         self.car, self.port = ProductionCar(config, path, judge=judge, **more), Port(config)
         self.due = self.car.t + STEP
-        self.update_s = self.steps = 0.0
+        self.update_s = self.apply_s = 0.0
+        self.steps = 0
+        self.listen: Callable[[Frame], None] = lambda frame: None
+        """Is given every frame to the car."""
 
     @property
     def next(self) -> float:
@@ -60,10 +63,11 @@ class PortedCar:
             out += poses
             for frame in frames:
                 self.port.receive(self.due, frame)
-            begun = time.perf_counter()
             step = self.port.step(self.due)
-            self.update_s, self.steps = self.update_s + time.perf_counter() - begun, self.steps + 1
+            self.steps += 1
+            self.update_s, self.apply_s = self.update_s + step.update_s, self.apply_s + step.apply_s
             for frame in step.to_car:
+                self.listen(frame)
                 self.car.receive(self.due, frame)
             out += [(self.due, frame_id, data) for frame_id, data in step.reports]
             self.due += STEP
@@ -77,8 +81,6 @@ class ProductionWorld:
         self, config: CarConfig, path: Path | None = None, *, judged: bool = True, dt: float = 0.05, **more: Any
     ):
         self.config, self.path, self.dt = config, path or course_of(config), dt
-        from steerkit.car.production.platforms import platform
-
         self.judge = SafetyJudge(platform(config.port)) if judged else None
         self.car = PortedCar(config, self.path, judge=self.judge, **more)
         self.core = Core(config, self.path)
@@ -133,7 +135,7 @@ class ProductionWorld:
                 if self.beats:
                     self.handle(Packet(t, 2, protocol.encode(protocol.Beat())))
             for when, frame_id, data in self.car.advance(t):
-                self.handle(Frame(t, when, frame_id, data))
+                self.handle(core.Frame(t, when, frame_id, data))
             self.handle(Tick(t))
             if t >= end:
                 return

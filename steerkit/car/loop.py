@@ -200,8 +200,8 @@ def design_model_of(config: CarConfig) -> DesignModel:
         delay=config.delay,
         lag=config.lag + (port.late if port else 0.0),
         rate_limit=min(DesignModel.rate_limit, float(config.gate.rate(config.states.v_engage_max))),
-        slew=port.slew if port else None,
-        a_y_limit=port.torque_limit if port else None,
+        slew=(port.slew or config.gate.jerk_max) if port else None,
+        a_y_limit=(port.torque_limit or config.gate.a_y_max) if port else None,
         budget=BUDGET,
         clock=time.perf_counter,
     )
@@ -321,8 +321,9 @@ def foresight(config: CarConfig) -> ExcursionPredictor:
 def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailSafe:
     """The safety filter before the gate of `config`."""
     budget = None if clock is None else BUDGET
+    model = replace(design_model_of(config), slew=None, a_y_limit=None)  # the gate's limits are a port's, and it has them
     return FailSafe(
-        block=make_safety(design_model_of(config), GateModel(limits=config.gate)),
+        block=make_safety(model, GateModel(limits=config.gate)),
         budget=budget,
         clock=clock or time.perf_counter,
     )

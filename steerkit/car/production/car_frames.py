@@ -5,7 +5,6 @@ Source of names and codes: commaai/opendbc 0.3.1 (MIT), `car/MAKER/carstate.py` 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -446,6 +445,37 @@ class CarFrames:
         on = read(active) != 0.0 if active else asked != 0.0
         return Command(asked / self.platform.full_at(v), on)
 
+    def altered(self, frame_id: int, data: bytes, *, by: float = 0.0, active: bool | None = None) -> bytes:
+        """A frame that steers, with another value (by so much, in units of its `Command`) or request; for tests.
+
+        Its check sum stays as it was. Raises KeyError for a frame that does not steer.
+        """
+        from opendbc.can.packer import set_value
+        from opendbc.can.parser import get_raw_value
+
+        message, value, request, sign = self._asks[frame_id]
+        changed, signal = bytearray(data), message.sigs[value]
+        if by:
+            full = self.platform.full if self.platform.steered_by == "torque" else 1.0
+            command = self.command(frame_id, data, 0.0)
+            assert command is not None
+            wanted = sign * (command.value * self.platform.full_at(0.0) + by * full)
+            if self.platform.maker == "volkswagen":
+                side = message.sigs["HCA_01_LM_OffSign" if "HCA_01_LM_OffSign" in message.sigs else "LM_OffSign"]
+                set_value(changed, side, int(wanted < 0.0))
+                wanted = abs(wanted)
+            code = round((wanted - signal.offset) / signal.factor)
+            low, high = (
+                (-(1 << signal.size - 1), (1 << signal.size - 1) - 1)
+                if signal.is_signed
+                else (0, (1 << signal.size) - 1)
+            )
+            set_value(changed, signal, max(low, min(high, code)))
+        if active is not None and request:
+            old = get_raw_value(data, message.sigs[request])
+            set_value(changed, message.sigs[request], (old or 1) if active else 0)
+        return bytes(changed)
+
 
 def _protect_ford(name: str, data: bytearray, count: int) -> bytearray:
     """Source: opendbc `safety/modes/ford.h`, ford_compute_checksum: 0xFF less the sum of what it protects."""
@@ -500,8 +530,3 @@ PROTECTS = {"ford": _protect_ford, "hyundai": _protect_hyundai, "rivian": _prote
 
 def _nibbles(data: bytearray) -> int:
     return sum((byte & 15) + (byte >> 4) for byte in data)
-
-
-def is_finite(said: Said) -> bool:
-    """Are its numbers numbers?"""
-    return math.isfinite(said.angle_deg + said.v + said.r + said.motor)

@@ -7,6 +7,7 @@ interface for the platform, which reads the car's frames and writes those that s
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from typing import Any, NamedTuple
 
@@ -51,6 +52,10 @@ class Step(NamedTuple):
     to_car: list[Frame]
     reports: list[tuple[int, bytes]]
     """(id, data) for the car server."""
+    update_s: float
+    """What reading the car's frames took [s]."""
+    apply_s: float
+    """What writing those to it took [s]."""
 
 
 class Port:
@@ -113,7 +118,9 @@ class Port:
         nanos = round(t * 1e9)
         frames = [self._can_data(*frame) for frame in self._pending]
         self._pending.clear()
+        began = time.perf_counter()
         state = self._interface.update([(nanos, frames)])
+        update_s, apply_s = time.perf_counter() - began, 0.0
         while self._rejected and self._rejected[0] <= t - 1.0:
             self._rejected.popleft()
         flags = self._flags(state)
@@ -123,10 +130,13 @@ class Port:
         sends: list[Frame] = []
         if not silent:
             request = self._request(state, self.steering)
+            began = time.perf_counter()
             _, frames_out = self._interface.apply(request.as_reader(), nanos)
+            apply_s = time.perf_counter() - began
             sends = [Frame(a, bytes(d), b) for a, d, b in frames_out if b < SENT_BUS]
         reports = self._reports(t, state, flags | {"CAN_INVALID": flags["CAN_INVALID"] or silent})
-        return Step(sends, reports if self._k % 2 == 0 and self._received > -math.inf else [])
+        now = self._k % 2 == 0 and self._received > -math.inf
+        return Step(sends, reports if now else [], update_s, apply_s)
 
     def _flags(self, state: Any) -> dict[str, bool]:
         """What must not be, by the names of the report's signals."""
