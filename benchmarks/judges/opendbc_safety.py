@@ -37,11 +37,14 @@ class SafetyJudge:
                 raise ValueError(f"{self.platform.name}: the safety code has no mode {config.safetyModel}")
         self._ticked = 0.0
 
-    def receive(self, t: float, frame_id: int, data: bytes, bus: int) -> bool:
-        """A frame of the car at time t [s]; is it in order?"""
+    def tick(self, t: float) -> None:
+        """Time has passed, until t [s]: once a second it looks for frames that are late."""
         if t - self._ticked >= 1.0:
             self._ticked = t
             self._c.judge_tick(_micro(t))
+
+    def receive(self, t: float, frame_id: int, data: bytes, bus: int) -> bool:
+        """A frame of the car at time t [s]; is it in order?"""
         return bool(self._c.judge_receive(_micro(t), frame_id, bus, data, len(data)))
 
     def may_pass(self, t: float, frame_id: int, data: bytes, bus: int) -> bool:

@@ -1,8 +1,9 @@
 """Production cars through opendbc's ports, every frame judged by opendbc's safety code in C.
 
-* drives: all ports that take an angle or a curvature, and ten of the most sold cars that take a torque, of nine makers;
-  each is driven on `highway` by `lqr`, by `mpc` and by the recovery that `auto` picks, a third of the time each, through
-  the car server's core, gate and port. honest_rejected: frames to the car that the safety code rejected; drives_held:
+* drives: all ports that take an angle or a curvature, and twelve of the most sold cars that take a torque, of nine
+  makers; each is driven on `highway` by `lqr`, by `mpc` and by the recovery that `auto` picks, a third of the time
+  each, through the car server's core, gate and port. honest_rejected: frames to the car that the safety code
+  rejected; drives_held:
   drives in which |e| stayed within 0.5 m and nothing ended them.
 * altered: steering frames of such drives, altered so as to break a limit (a jump of at least twice what a frame allows,
   up to the signal's end; a request while the safety code does not allow one), each judged without being sent;
@@ -12,7 +13,7 @@
   within 0.5 m. departures: samples with |e| > 0.5 m while engaged, the first second of each left out.
 * faults: what goes wrong in mid-drive; silent_s: until the last frame that asks for steering.
 
-    python -m benchmarks study production_cars [--parts PART ...] [--minutes M] [--seeds N] [--jobs N] [--quick] [--json]
+    python -m benchmarks study production_cars [--parts PART ...] [--ports NAME ...] [--minutes M] [--seeds N] [--json]
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ CONTROLLERS = ("lqr", "mpc", AUTO)
 PARTS = ("drives", "altered", "learning", "faults")
 GOOD = 20.0
 """A net that steers for so long on end is good [s]."""
-PAUSES = 5.0
+PAUSES = 3.0
 """Between a fault and its end [s]."""
 FAULTS = {
     "driver's torque": Fault(kind="override", target="report", start=0.0),
@@ -202,7 +203,9 @@ def altered(piece: tuple[str, int, int]) -> dict[str, Any]:
                     least = 2.0 * _allowed(name, v)
                     most = {"torque": 2.0, "curvature": 0.02, "angle": 300.0}[found.steered_by]
                     size = math.exp(rng.uniform(math.log(least), math.log(most)))
-                    data = frames.altered(frame.frame_id, frame.data, by=math.copysign(size, rng.uniform(-1.0, 1.0)))
+                    # a torque may fall to nothing at once
+                    side = command.value if found.steered_by == "torque" else rng.uniform(-1.0, 1.0)
+                    data = frames.altered(frame.frame_id, frame.data, by=math.copysign(size, side))
                     again = frames.command(frame.frame_id, data, v)
                     if again is None or abs(again.value - command.value) < 0.9 * least:
                         continue  # the signal's end is nearer
@@ -325,7 +328,7 @@ def faulty(piece: tuple[str, str, int]) -> dict[str, Any]:
             asked[0] = world.car.due
 
     world.car.listen = listen
-    while len(drive.e) < 200 and not drive.ended:
+    while len(drive.e) < 80 and not drive.ended:
         drive.step()
     begun, steered = world.t, asked[0]
     if what in FAULTS:

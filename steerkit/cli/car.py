@@ -20,6 +20,7 @@ from steerkit.car.config import course_of, loaded
 from steerkit.car.core import Core
 from steerkit.car.panel import stream as show
 from steerkit.car.panel import witness_line
+from steerkit.car.production import table
 from steerkit.car.senses import witness
 from steerkit.car.session import Options
 from steerkit.car.state_machine import Order
@@ -65,6 +66,27 @@ def check(
     print(f"{config}: no mistakes found")
 
 
+@app.command("platforms")
+def show_platforms(
+    name: Annotated[str, typer.Argument(help="One of them, such as TESLA_MODEL_3; default: all.")] = "",
+    by: Annotated[str, typer.Option(help="Only those steered by this: angle, curvature or torque.")] = "",
+    out: Annotated[FilePath | None, typer.Option(help="Write a car's file for NAME, to be edited.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
+) -> None:
+    """Production cars that can be steered through opendbc: by what, from which speed, within which limits."""
+    rows = [row for row in table.rows() if name in ("", row["name"]) and by in ("", row["by"])]
+    if not rows:
+        known(by, ("angle", "curvature", "torque"), "--by") if by else None
+        table.platform(name)
+    if out is not None:
+        table.write(name, out)
+        print(f"{out}: written for {name}; edit it, then: steerkit car check {out}")
+    elif as_json:
+        print(json.dumps({"platforms": rows}))
+    else:
+        print("\n".join(table.lines(rows)))
+
+
 @app.command()
 def simulate(
     config: Config = "dbw-kit.toml",
@@ -74,12 +96,14 @@ def simulate(
     ] = "",
     time_scale: Scale = 1.0,
     ratio: Annotated[float, typer.Option(help="True steering ratio over that of the data sheet.")] = 1.0,
-    delay: Annotated[float, typer.Option(help="Dead time from a command to the motor (s).")] = 0.0,
+    delay: Annotated[
+        float | None, typer.Option(help="Dead time from a command to the motor (s): 0, a production car's own.")
+    ] = None,
     lag: Annotated[float, typer.Option(help="Lag of the motor (s).")] = 0.1,
     offset_deg: Annotated[float, typer.Option(help="Offset of the steering that its sensor does not see (deg).")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the driver's speed.")] = 0,
-    v_min: Annotated[float, typer.Option(help="Slowest speed (m/s).")] = 4.0,
-    v_max: Annotated[float, typer.Option(help="Fastest speed (m/s).")] = 6.0,
+    v_min: Annotated[float | None, typer.Option(help="Slowest speed (m/s): 4, of a production car 12.")] = None,
+    v_max: Annotated[float | None, typer.Option(help="Fastest speed (m/s): 6, of a production car 16.")] = None,
     log: Annotated[str, typer.Option(help="File for every command heard, as JSON lines.")] = "",
 ) -> None:
     """A simulated car behind the same DBC on a bus of its own; faults come as lines on standard input.
@@ -88,8 +112,9 @@ def simulate(
     the kinds.
     """
     bus: dict[str, Any] = {"listen": listen, "channel": channel, "time_scale": time_scale, "log": log}
-    car: dict[str, Any] = {"ratio": ratio, "delay": delay, "lag": lag, "offset": radians_of(offset_deg)}
-    raise typer.Exit(processes.simulate(config, **bus, **car, seed=seed, v_min=v_min, v_max=v_max))
+    car: dict[str, Any] = {"ratio": ratio, "lag": lag, "offset": radians_of(offset_deg), "seed": seed}
+    own: dict[str, Any] = {"delay": delay, "v_min": v_min, "v_max": v_max}
+    raise typer.Exit(processes.simulate(config, **bus, **car, **{k: v for k, v in own.items() if v is not None}))
 
 
 @app.command()

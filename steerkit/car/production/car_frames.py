@@ -135,7 +135,7 @@ def _toyota(c: Said, p: Platform) -> dict[str, Signals]:
 
 def _honda(c: Said, p: Platform) -> dict[str, Signals]:
     kph = 3.6 * c.v
-    switches = {"MAIN_ON": 1, "DRIVERS_DOOR_OPEN": c.door, "REVERSE_LIGHT": not c.drive}
+    switches: Signals = {"MAIN_ON": 1, "DRIVERS_DOOR_OPEN": c.door, "REVERSE_LIGHT": not c.drive}
     return {
         "STEERING_SENSORS": {"STEER_ANGLE": c.angle_deg, "STEER_ANGLE_RATE": c.rate_deg},
         "WHEEL_SPEEDS": _wheels("WHEEL_SPEED_FL WHEEL_SPEED_FR WHEEL_SPEED_RL WHEEL_SPEED_RR", kph),
@@ -147,7 +147,7 @@ def _honda(c: Said, p: Platform) -> dict[str, Signals]:
         "SCM_BUTTONS": switches,
         "DOORS_STATUS": {"DOOR_OPEN_FL": c.door},
         "SEATBELT_STATUS": {"SEATBELT_DRIVER_LATCHED": c.belt},
-        "STEER_STATUS": {"STEER_STATUS": 5 * c.fault, "STEER_TORQUE_SENSOR": 2500 * c.hand},
+        "STEER_STATUS": {"STEER_STATUS": 5.0 * c.fault, "STEER_TORQUE_SENSOR": 2500.0 * c.hand},
         "GEARBOX_AUTO": {"GEAR_SHIFTER": p.code_of("GEARBOX_AUTO", "GEAR_SHIFTER", "D" if c.drive else "N")},
         "GEARBOX_CVT": {"GEAR_SHIFTER": p.code_of("GEARBOX_CVT", "GEAR_SHIFTER", "D" if c.drive else "N")},
     }
@@ -242,7 +242,7 @@ def _subaru(c: Said, p: Platform) -> dict[str, Signals]:
 def _chrysler(c: Said, p: Platform) -> dict[str, Signals]:
     torque = {"COLUMN_TORQUE": 200 * c.hand, "EPS_TORQUE_MOTOR": round(p.full * c.motor)}
     return {
-        "STEERING": {"STEERING_ANGLE": c.angle_deg, "STEERING_RATE": c.rate_deg},
+        "STEERING": {"STEERING_ANGLE": c.angle_deg, "STEERING_ANGLE_HP": 0.0, "STEERING_RATE": c.rate_deg},
         "EPS_2": {**torque, "LKAS_STATE": 4 if c.fault else 0},
         "EPS_3": {"DASM_FAULT": c.fault},
         "SPEED_1": _wheels("SPEED_LEFT SPEED_RIGHT", c.v),
@@ -297,6 +297,7 @@ def _gm(c: Said, p: Platform) -> dict[str, Signals]:
 def _rivian(c: Said, p: Platform) -> dict[str, Signals]:
     kph = 3.6 * c.v
     drive = 4 if c.drive else 3
+    closed = dict.fromkeys(("RearDriverDoor", "FrontPassengerDoor", "RearPassengerDoor"), 2.0)
     return {
         "EPAS_AdasStatus": {
             "EPAS_InternalSas": c.angle_deg,
@@ -314,10 +315,7 @@ def _rivian(c: Said, p: Platform) -> dict[str, Signals]:
         "iBESP2": {"iBESP2_BrakePedalApplied": c.brake},
         "ACM_Status": {"ACM_FeatureStatus": c.cruise},
         "VDM_AdasSts": {"VDM_AdasFaultStatus": 1},
-        "IndicatorLights": {
-            "DriverDoor": 1 if c.door else 2,
-            **dict.fromkeys(("RearDriverDoor", "FrontPassengerDoor", "RearPassengerDoor"), 2),
-        },
+        "IndicatorLights": {"DriverDoor": 1 if c.door else 2, **closed},
         "RCM_Status": {"RCM_Status_IND_WARN_BELT_DRIVER": not c.belt},
     }
 
@@ -362,8 +360,8 @@ ASKS: dict[str, tuple[tuple[str, str, str, float], ...]] = {
     ),
     "volkswagen": (("HCA_01", "HCA_01_LM_Offset", "HCA_01_Sendestatus", 1.0), ("HCA_1", "LM_Offset", "", 1.0)),
 }
-"""By maker: the messages that steer: name, signal of the value, signal of the request, sign; Toyota's first one takes an
-angle, and only cars that are steered by one heed it."""
+"""By maker: the messages that steer: name, signal of the value, signal of the request, sign; Toyota's first one
+takes an angle, and only cars that are steered by one heed it."""
 MORE = {
     "ford": ("EngVehicleSpThrottle2",),
     "hyundai": ("EMS16",),

@@ -92,7 +92,7 @@ class CanLine:
     def __init__(self, table: dict[str, Any]):
         self._open = contextlib.ExitStack()
         self._buses: dict[int, Any] = {}
-        more = {key: table[key] for key in ("interface", "bitrate") if key in table}
+        more: dict[str, Any] = {key: table[key] for key in ("interface", "bitrate") if key in table}
         for number, channel in enumerate(table.get("channels", ())):
             if channel != "":
                 self._buses[number] = open_bus({**more, "channel": channel})

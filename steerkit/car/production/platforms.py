@@ -6,13 +6,14 @@ import importlib.util
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cache, cached_property
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import known
+from steerkit._support.errors import require
 
 INSTALL = (
     "a production car is steered through the library opendbc, which is not installed: "
@@ -171,7 +172,10 @@ def listed() -> list[Platform]:
 
 def platform(name: str) -> Platform:
     """The platform of that name; raises ValueError for one that is unknown or never steered, or without opendbc."""
-    found = _any(known(name, names(), "[port] opendbc"))
+    near = get_close_matches(name, names(), 3, 0.5) if name not in names() else []
+    hint = f" (did you mean {' or '.join(near)}?)" if near else ""
+    require(name in names(), f"[port] opendbc = {name!r}", f"not known{hint}; valid: those of `steerkit car platforms`")
+    found = _any(name)
     if found.obstacle:
         raise ValueError(f"[port] opendbc = {name!r}: {found.obstacle}")
     return found

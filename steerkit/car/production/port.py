@@ -22,6 +22,8 @@ WATCHDOG = 0.1
 """Age of a command from which the port no longer steers [s]."""
 SILENCE = 0.1
 """Without any frame of the car for so long, nothing is sent [s]."""
+FROZEN = 0.15
+"""A moving car all of whose frames are the same for so long does not say how it moves [s]."""
 RELEASED = 0.1
 """After a frame that the safety code rejected, steering rests so long [s]: port and safety code begin anew from the
 wheel as it is."""
@@ -36,6 +38,7 @@ P_GAIN, I_GAIN = 0.3, 0.3
 """Of the torque: share of the missing lateral acceleration [1], and what it grows by in a second [1/s]."""
 _FRICTION_WIDTH = 0.05  # m/s^2: a change of what is wanted after which friction is believed to act the other way
 _LARGEST_INTEGRAL = 0.5  # m/s^2
+_SMOOTH = 0.1  # s: of the rate at which the car turns in, as an angle comes in steps
 
 
 class Frame(NamedTuple):
@@ -82,16 +85,22 @@ class Port:
         self._heard = self._received = self._released = -math.inf
         self._command, self._enable = math.nan, False
         self._rejected: deque[float] = deque()
+        self._data: dict[tuple[int, int], bytes] = {}
+        self._changed = -math.inf
         self._k = self._count = 0
         lateral = self.platform.lateral
         self._map = TorqueMap(gain=lateral.gain, friction=min(1.0, lateral.friction))
-        self._fit, self._integral, self._a_y = self._map.init(), 0.0, math.nan
+        self._fit, self._integral, self._a_y, self._turning = self._map.init(), 0.0, 0.0, 0.0
         self._rubs, self._goals = 0.0, deque([math.nan], maxlen=1 + round((config.delay + config.lag) / STEP))
-        self._torques = deque([0.0], maxlen=1 + round(max(self.platform.delay, STEP) / STEP))
+        self._torques = deque([0.0], maxlen=1 + round((config.delay + config.lag) / STEP))
         self.steering = False
         """Did the last frames ask for steering?"""
         self.why = "nothing heard yet"
         """Why it does not steer."""
+        self.state: Any = None
+        """What the library read last of the car, its `CarState`."""
+        self.flags: dict[str, bool] = {}
+        """What must not be, by the names of the report's signals."""
 
     @property
     def lateral(self) -> LateralMap:
@@ -105,7 +114,9 @@ class Port:
             self._released = t
             return
         if frame.bus < SENT_BUS:
-            self._received = t
+            self._received, of = t, (frame.frame_id, frame.bus)
+            if self._data.get(of) != frame.data:
+                self._data[of], self._changed = frame.data, t
         self._pending.append(frame)
 
     def command(self, t: float, data: bytes) -> None:
@@ -123,10 +134,10 @@ class Port:
         update_s, apply_s = time.perf_counter() - began, 0.0
         while self._rejected and self._rejected[0] <= t - 1.0:
             self._rejected.popleft()
-        flags = self._flags(state)
-        self._k += 1
         silent = not t - self._received < SILENCE
-        self.steering = self._may_steer(t, state, flags)
+        self.state, self.flags = state, self._flags(t, state, silent=silent)
+        self._k += 1
+        self.steering = self._may_steer(t, state)
         sends: list[Frame] = []
         if not silent:
             request = self._request(state, self.steering)
@@ -134,15 +145,15 @@ class Port:
             _, frames_out = self._interface.apply(request.as_reader(), nanos)
             apply_s = time.perf_counter() - began
             sends = [Frame(a, bytes(d), b) for a, d, b in frames_out if b < SENT_BUS]
-        reports = self._reports(t, state, flags | {"CAN_INVALID": flags["CAN_INVALID"] or silent})
+        reports = self._reports(t, state)
         now = self._k % 2 == 0 and self._received > -math.inf
         return Step(sends, reports if now else [], update_s, apply_s)
 
-    def _flags(self, state: Any) -> dict[str, bool]:
-        """What must not be, by the names of the report's signals."""
+    def _flags(self, t: float, state: Any, *, silent: bool) -> dict[str, bool]:
         numbers = state.steeringAngleDeg + state.vEgoRaw
+        unheard = silent or (state.vEgoRaw > 1.0 and not t - self._changed < FROZEN)
         return {
-            "CAN_INVALID": not state.canValid or state.canTimeout or not math.isfinite(numbers),
+            "CAN_INVALID": unheard or not state.canValid or state.canTimeout or not math.isfinite(numbers),
             "STEERING_FAULT": state.steerFaultTemporary or state.steerFaultPermanent,
             "SENSOR_FAULT": state.vehicleSensorsInvalid,
             "FRAMES_REJECTED": len(self._rejected) >= REJECTIONS,
@@ -153,8 +164,8 @@ class Port:
             "TOO_SLOW": state.vEgoRaw < self.platform.slowest,
         }
 
-    def _may_steer(self, t: float, state: Any, flags: dict[str, bool]) -> bool:
-        wrong = [name for name, up in flags.items() if up]
+    def _may_steer(self, t: float, state: Any) -> bool:
+        wrong = [name for name, up in self.flags.items() if up]
         human = {"steering": state.steeringPressed or state.steeringDisengage, "brake": state.brakePressed}
         reasons = {
             "no command": not self._enable,
@@ -187,13 +198,14 @@ class Port:
 
     def _torque(self, state: Any, wanted: float, v: float, active: bool) -> float:
         a_y = v * v * self._kappa(radians_of(state.steeringAngleDeg), v)
-        turning, self._a_y = (a_y - self._a_y) / STEP, a_y
+        self._turning += (STEP / _SMOOTH) * ((a_y - self._a_y) / STEP - self._turning) if active else -self._turning
+        self._a_y = a_y
         if not active:
             self._integral = self._rubs = 0.0
             self._torques.append(0.0)
             self._goals.clear()
             return 0.0
-        self._fit = self._map.update(self._fit, u=self._torques[0], a_y=a_y, turning=turning, dt=STEP)
+        self._fit = self._map.update(self._fit, u=self._torques[0], a_y=a_y, turning=self._turning, dt=STEP)
         known = self._map.found(self._fit)
         goal = v * v * self._kappa(wanted, v)
         changed = goal - (self._goals[-1] if self._goals else a_y)
@@ -209,7 +221,7 @@ class Port:
         self._torques.append(torque)
         return torque
 
-    def _reports(self, t: float, state: Any, flags: dict[str, bool]) -> list[tuple[int, bytes]]:
+    def _reports(self, t: float, state: Any) -> list[tuple[int, bytes]]:
         self._count += self._k % 2 == 0
         values = {
             "delta_sw": radians_of(state.steeringAngleDeg),
@@ -221,6 +233,6 @@ class Port:
             "timeout": float(self._enable and not t - self._heard < WATCHDOG),
             "brake": float(state.brakePressed),
             "accelerator": float(state.gasPressed),
-            **{f"fault:{name}": float(up) for name, up in flags.items()},
+            **{f"fault:{name}": float(up) for name, up in self.flags.items()},
         }
         return [(reader.frame_id, reader.write(values, count=self._count)) for reader in self._readers]

@@ -17,11 +17,15 @@ from steerkit.car.simulated import BENDS, STEP, Fault, SimulatedCar
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.paths.path import Path
 
+_SPEED_NOISE = 0.01  # m/s
 _SLOWEST = 1.0  # m/s: below, torque turns the wheel as at this speed
 
 
 class Judge(Protocol):
     """What stands between computer and car, as a panda does: opendbc's safety code."""
+
+    def tick(self, t: float) -> None:
+        """Time has passed, until t [s]."""
 
     def receive(self, t: float, frame_id: int, data: bytes, bus: int) -> bool:
         """A frame of the car; is it in order?"""
@@ -164,7 +168,7 @@ class ProductionCar:
         fault: Callable[..., Fault | None] = self.car.fault
         said = Said(
             angle_deg=float(degrees_of(self.car.turned)),
-            v=max(0.0, float(self.car.now.v)),
+            v=max(0.0, float(self.car.now.v) + self._dice.gauss(0.0, _SPEED_NOISE)),
             r=float(self.car.now.r),
             hand=bool(fault("override", t) or fault("torque", t)),
             brake=fault("brake", t) is not None,
@@ -194,6 +198,7 @@ class ProductionCar:
             due.append(self._out.popleft()[1])
         self.counts.received += len(due)
         if self.judge:
+            self.judge.tick(t)
             self.counts.not_in_order += sum([not self.judge.receive(t, *frame) for frame in due])
         return due
 
