@@ -27,7 +27,10 @@ from steerkit._support.errors import known
 _FILES = {file.stem: file for file in sorted(Path(__file__).parent.glob("*.py")) if file.stem != "__init__"}
 NAMES = tuple(_FILES)
 """All studies."""
-_EXTRA = {"car_calibration": "car", "car_kill": "car", "car_realtime": "car", "foreign": "peers", "gym_steps": "gym"}
+_EXTRA = {
+    **dict.fromkeys(("car_calibration", "car_kill", "car_realtime"), "car"),
+    **{"foreign": "peers", "gym_steps": "gym", "production_cars": "production"},
+}
 """Studies that need an extra of the package, and which."""
 _OF_MANY = {"joblib": "bench", "distributed": "bench"}
 """Packages that several studies need, and the extra that brings them."""

@@ -295,7 +295,7 @@ def learned(piece: tuple[str, int, float]) -> dict[str, Any]:
                 good = since - drive.engaged_at
         last = np.array(drive.e[-round(60.0 / DT) :])
         figures = learner.figures()
-    best = driven((name, "mpc", 60.0, seed))
+    best = driven((name, "mpc", min(60.0, seconds), seed))
     wheel = drive.wheel_rate_deg(60.0)
     return {
         "port": name,
@@ -368,14 +368,14 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All parts, with their tables."""
     ports = options.ports or (QUICK if options.quick else (*ANGLE, *TORQUE))
     some = QUICK[:1] if options.quick else LEARNS
-    seconds = 6.0 if options.quick else 60.0 * options.minutes / len(CONTROLLERS)
+    seconds = 2.0 if options.quick else 60.0 * options.minutes / len(CONTROLLERS)
     jobs: dict[str, tuple[Callable[[Any], dict[str, Any]], list[Any]]] = {
         "drives": (driven, [(name, c, seconds, i) for name in ports for i, c in enumerate(CONTROLLERS)]),
-        "altered": (altered, [(name, 200 if options.quick else options.frames // len(ports) + 1, 1) for name in ports]),
+        "altered": (altered, [(name, 60 if options.quick else options.frames // len(ports) + 1, 1) for name in ports]),
         "learning": (
             learned,
             [
-                (name, seed, 20.0 if options.quick else 60.0 * options.learn_minutes)
+                (name, seed, 3.0 if options.quick else 60.0 * options.learn_minutes)
                 for name in some
                 for seed in range(1 if options.quick else options.seeds)
             ],
@@ -384,7 +384,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     }
     if options.quick:
         jobs["drives"] = (driven, jobs["drives"][1][:: len(CONTROLLERS)])
-        jobs["faults"] = (faulty, jobs["faults"][1][:2])
+        jobs["altered"] = (altered, jobs["altered"][1][-1:])
+        jobs["faults"] = (faulty, jobs["faults"][1][:1])
     rows: dict[str, list[dict[str, Any]]] = {}
     console = Console(stderr=True)
     with spread.computing(spread.where(options)) as those:

@@ -258,7 +258,9 @@ def test_what_a_torque_does_is_found_while_driving() -> None:
     assert found.friction == pytest.approx(true.friction, rel=0.2)
     assert found.offset == pytest.approx(true.offset, abs=0.03)
     assert finder.update(x, u=math.nan, a_y=0.0, turning=0.0, dt=0.01) is x
-    assert replace(finder, gain=1.6, sure=0.1).found(x).gain == pytest.approx(1.3 * 1.6)  # no further than may be believed
+    assert replace(finder, gain=1.6, sure=0.1).found(x).gain == pytest.approx(
+        1.3 * 1.6
+    )  # no further than may be believed
     still = finder.init()
     for _ in range(6000):
         still = finder.update(still, u=0.3, a_y=0.9, turning=0.2, dt=0.01)
