@@ -29,7 +29,9 @@ NAMES = tuple(_FILES)
 """All studies."""
 _EXTRA = {
     **dict.fromkeys(("car_calibration", "car_kill", "car_realtime"), "car"),
-    **{"foreign": "peers", "gym_steps": "gym", "production_cars": "production"},
+    "foreign": "peers",
+    "gym_steps": "gym",
+    "production_cars": "production",
 }
 """Studies that need an extra of the package, and which."""
 _OF_MANY = {"joblib": "bench", "distributed": "bench"}

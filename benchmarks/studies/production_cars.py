@@ -9,7 +9,8 @@
   up to the signal's end; a request while the safety code does not allow one), each judged without being sent;
   altered_passed counts those that pass. Then a controller without sense asks the gate for anything, NaN included, while
   the car drives straight on: gate_passed_wrong counts frames that left the port and were rejected.
-* learning: from nothing, with the safety filter, behind gate and port; a net is good when it steered for 20 s on end
+* learning: from nothing, with the safety filter where an angle or a curvature is taken (it is none for torques: there
+  the car server ends driving at 3 m instead of 1 m), behind gate and port; a net is good when it steered for 20 s on end
   within 0.5 m. departures: samples with |e| > 0.5 m while engaged, the first second of each left out.
 * faults: what goes wrong in mid-drive; silent_s: until the last frame that asks for steering.
 
@@ -268,8 +269,9 @@ class Beside(SimulatedTrainer):
 def learned(piece: tuple[str, int, float]) -> dict[str, Any]:
     """One learning run: port, seed, seconds."""
     name, seed, seconds = piece
-    world: Any = ProductionWorld(config_of(name), seed=seed)
-    how = replace(setting("default"), safe=True)
+    torque = platform(name).steered_by == "torque"
+    world: Any = ProductionWorld(config_of(name, **({"e_max": 3.0} if torque else {})), seed=seed)
+    how = replace(setting("default"), safe=not torque)
     with (
         tempfile.TemporaryDirectory() as folder,
         CarLearner(how, Path(folder) / "run", world.config, world.path, world, seed=seed, clock=None) as learner,
@@ -394,7 +396,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             kept: dict[int, dict[str, Any]] = {}
             for number, row in those.done(function, pieces):
                 kept[number] = row
-                console.print(f"{part} {len(kept)} of {len(pieces)}: {row['port']}", highlight=False)
+                told = ", ".join([f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()])
+                console.print(f"{part} {len(kept)} of {len(pieces)}: {told}", highlight=False, soft_wrap=True)
             rows[part] = [kept[number] for number in sorted(kept)]
             _show(part, rows[part])
     return _figures(rows) | {"rows": rows}

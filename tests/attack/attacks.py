@@ -437,3 +437,11 @@ LIARS = {a.name: a for a in _liars()}
 """Those that agree with themselves, by name."""
 ATTACKS = {a.name: a for a in (*_pose(), *_kit(), *_time(), *_client(), *_people_and_bus())}
 """All, by name."""
+
+OF_A_KIT = tuple(
+    name
+    for name in ATTACKS
+    if name.startswith(("report ", "kit ", "two kit ", "echo ", "a foreign sender of the ", "bang-bang at "))
+    and name != "report speed + 3 m/s"
+)
+"""Those on a kit's own frames and flags, which a production car does not have, or which its slow gate makes harmless."""

@@ -22,6 +22,10 @@ from steerkit.car.calibration import Calibrated
 from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core, Event, Frame, Link, Note, Output, Packet, Reply, Send, Tick
 from steerkit.car.estimates import CarEstimators
+from steerkit.car.production.car_frames import CarFrames, Said
+from steerkit.car.production.platforms import platform
+from steerkit.car.production.port import Frame as PortFrame
+from steerkit.car.production.port import Port
 from tests.attack import wire
 from tests.attack.car import FRONT, Car, Course, road, stadium, stanley
 
@@ -44,12 +48,19 @@ def courses() -> dict[str, Course]:
 
 
 @cache
-def configuration(name: str, vehicle: str = "") -> tuple[CarConfig, Any]:
-    """The product's configuration for one of them, as a user would write it; vehicle: text of a vehicle file."""
+def configuration(name: str, vehicle: str = "", port: str = "") -> tuple[CarConfig, Any]:
+    """The product's configuration for one of them, as a user would write it; vehicle: text of a vehicle file.
+
+    port: the platform of opendbc through which the car is steered, which has the kit's limits besides its own."""
     course = courses()[name]
     with TemporaryDirectory() as folder:
         Path(folder, "track.csv").write_text(course.csv())
         shipped = load("dbw-kit.toml").texts["config.toml"]
+        if port:
+            kit = shipped.partition("[limits]")
+            shipped = load("production-car.toml").texts["config.toml"].partition("[limits]")[0] + "".join(kit[1:])
+            shipped = shipped.replace("TESLA_MODEL_3", port).replace('name = "highway"', 'name = "paper"')
+            shipped += '\n[vehicle]\nname = "vw-passat"\n[kit]\nlag = 0.1\n'
         closed = "true" if course.closed else "false"
         text = shipped.replace('name = "paper"', f'file = "track.csv"\nclosed = {closed}', 1)
         if name == "careful":  # what docs/real-car.md recommends for controllers that do not learn
@@ -189,6 +200,8 @@ class Drive(Bench):
     """Is the car one that rolls where its wheels point?"""
     vehicle: str = ""
     """Text of its vehicle file; "" for the data sheet."""
+    port: str = ""
+    """The platform of opendbc that it is; "" for a car with a kit."""
     noise: float = 1.0
     t: float = 0.0
     mode: str = "OFF"
@@ -198,7 +211,9 @@ class Drive(Bench):
     """(t, true e, true a_y, does the kit steer?)"""
 
     def __post_init__(self) -> None:
-        self.config, path = configuration(self.attack.course, self.vehicle)
+        self.config, path = configuration(self.attack.course, self.vehicle, self.port)
+        self.translator = Port(self.config) if self.port else None
+        self.buses = CarFrames(platform(self.port)) if self.port else None
         self.core = Core(self.config, path)
         self.dice = random.Random(self.seed)
         course = courses()[self.attack.course]
@@ -238,9 +253,12 @@ class Drive(Bench):
         super().said(out)
         match out:
             case Send():
-                angle, enable, clear = wire.command(out.data)
+                angle, enable, clear = (self.config.writer.read if self.translator else wire.command)(out.data)
                 self.sent.append((self.t, angle, enable))
-                self.hear(angle, enable, clear)
+                if self.translator:
+                    self.translator.command(self.t, out.data)
+                else:
+                    self.hear(angle, enable, clear)
             case Reply(data=data) if known := wire.snapshot(data):
                 self.snapshot, self.answer = known, data
 
@@ -298,7 +316,9 @@ class Drive(Bench):
             (wire.DYNAMICS, wire.dynamics(values.beta, values.a_y, values.stamp, count=n), ""),
         ]
         kit = []
-        if n % 2 == 0:
+        if self.translator:
+            kit = self.through_port(values)
+        elif n % 2 == 0:
             angle, echo = math.degrees(values.angle), math.degrees(values.echo)
             kit = [(wire.REPORT, wire.report(angle, echo, values.v_kit, values.torque, values.flags), "")]
         late = attack.latency(since) if since is not None and attack.latency else 0.0
@@ -312,6 +332,26 @@ class Drive(Bench):
         self.waiting = [w for w in self.waiting if w[0] > self.t + 1e-9]
         for when, frame_id, data, kind in due:
             self.handle(Frame(self.t, max(when, self.t - 0.01), frame_id, data, kind))
+
+    def through_port(self, values: Sensed) -> list[tuple[int, bytes, str]]:
+        """The same values in the maker's frames, and what the port makes of them; its frames reach the car."""
+        assert self.translator is not None
+        assert self.buses is not None
+        said = Said(
+            angle_deg=math.degrees(values.angle),
+            v=max(0.0, values.v_kit + self.noise * self.dice.gauss(0.0, 0.01)),
+            r=self.car.r,
+            hand="OVERRIDE" in values.flags or abs(values.torque) > 2.5,
+            fault=any(name.startswith("FLT") for name in values.flags),
+        )
+        for frame in self.buses.send(said):
+            self.translator.receive(self.t, PortFrame(*frame))
+        step = self.translator.step(self.t)
+        for frame in step.to_car:
+            command = self.buses.command(frame.frame_id, frame.data, self.car.v)
+            if command is not None:
+                self.hear(math.radians(command.value), command.active, not command.active)
+        return [(frame_id, data, "") for frame_id, data in step.reports]
 
     def step(self) -> None:
         """5 ms."""
@@ -457,6 +497,11 @@ def settled(
     """A drive as far as all attacks there have in common."""
     none = Attack("none", course=course, where=where)
     return Drive(none, speed, seed, lead=lead, kinematic=kinematic, vehicle=vehicle).settle()
+
+
+def through_port(port: str, attack: Attack, *, speed: float, seed: int = 0) -> Drive:
+    """A drive of a production car under attack, done."""
+    return Drive(attack, speed, seed, port=port).settle().run()
 
 
 def driven(attack: Attack, *, speed: float, seed: int = 0) -> Drive:

@@ -1,6 +1,7 @@
 """All attacks at all speeds, as a table in Markdown: `python -m tests.attack.table [--jobs 2]`, or `make attacks`.
 
-With `--controllers mpc lqr ...` those of the product steer, and each has a column instead of each speed. `--liars`:
+With `--controllers mpc lqr ...` those of the product steer, and each has a column instead of each speed; with
+`--ports TESLA_MODEL_3 ...` the car is that production car. `--liars`:
 every lie that agrees with itself, with every controller (or those), at every speed, to two cars, calibrated and not:
 2,160 drives.
 """
@@ -8,12 +9,12 @@ every lie that agrees with itself, with every controller (or those), at every sp
 import argparse
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
-from tests.attack.attacks import ATTACKS, LIARS
-from tests.attack.bench import SPEEDS, driven
+from tests.attack.attacks import ATTACKS, LIARS, OF_A_KIT
+from tests.attack.bench import SPEEDS, Drive, driven, through_port
 from tests.attack.product import CONTROLLERS, HARMLESS, driven_by, lied_to, sooner
 
 
@@ -29,11 +30,11 @@ def row(name: str) -> str:
     return f"| {name} | {' | '.join(ends)} | {worst:.2f} | {a_y:.2f} | {said} |{' **MISSED** |' if missed else ''}"
 
 
-def compared(name: str, controllers: list[str]) -> str:
-    """One attack: of each controller the latest silence, the worst true excess of |e| and a_y, and what was missed."""
+def compared(name: str, controllers: list[str], drive: Callable[..., Drive] = driven_by) -> str:
+    """One attack: of each controller, or port, the latest silence, the worst true excess of |e| and a_y; what was missed."""
     cells, wrong = [name], []
     for controller in controllers:
-        drives = [driven_by(controller, ATTACKS[name], speed=speed) for speed in SPEEDS]
+        drives = [drive(controller, ATTACKS[name], speed=speed) for speed in SPEEDS]
         ends = [f"{1e3 * d.silence():.0f}" for d in drives if math.isfinite(d.ended())]
         on = "on" if len(ends) < len(SPEEDS) else ""
         end = ", ".join([max(ends, key=int), on] if ends and on else [max(ends, key=int)] if ends else [on])
@@ -68,17 +69,22 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="processes at once")
     parser.add_argument("--only", default="", help="attacks with this in their name")
     parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=[], help="the product's own steer")
+    parser.add_argument("--ports", nargs="+", default=[], help="production cars, by their names in opendbc")
     parser.add_argument("--liars", action="store_true", help="lies that agree with themselves, at all there is")
     parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise, of --liars")
     parser.add_argument("--lead", type=float, default=0.0, help="what --liars find was driven for so far before [m]")
     options = parser.parse_args()
     line = partial(compared, controllers=options.controllers) if options.controllers else row
-    names = ATTACKS
+    names = list(ATTACKS)
     if options.liars:
         heads = ["calibrated: within 0.5 m", "worst excess [m]", "said: not 0.5 m off before [s]"]
         heads += ["not: within 1 m", *heads[1:], "not engaged", "sooner than said"]
         steering = options.controllers or ("own", *CONTROLLERS)
-        line, names = partial(lies, controllers=steering, seed=options.seed, lead=options.lead), LIARS
+        line, names = partial(lies, controllers=steering, seed=options.seed, lead=options.lead), list(LIARS)
+    elif options.ports:
+        line = partial(compared, controllers=options.ports, drive=through_port)
+        names = [name for name in ATTACKS if name not in OF_A_KIT]
+        heads = [f"{name} [ms / m / m/s²]" for name in options.ports]
     elif options.controllers:
         heads = [f"{name} [ms / m / m/s²]" for name in options.controllers]
     else:

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from tests.attack import table
-from tests.attack.attacks import ATTACKS, LIARS
-from tests.attack.bench import SPEEDS, Attack, Drive, calibrated, driven
+from tests.attack.attacks import ATTACKS, LIARS, OF_A_KIT
+from tests.attack.bench import SPEEDS, Attack, Drive, calibrated, driven, through_port
 from tests.attack.product import CONTROLLERS, HARMLESS, driven_by, lied_to, sooner
 
 FAST = (
@@ -116,3 +116,17 @@ def test_whoever_steers_the_car_stays_on_its_path(controller: str, name: str, sp
     assert drive.complaints(HARMLESS) == []
     if name in FAST:
         assert drive.silence() <= 0.5
+
+
+PORTS = ("TESLA_MODEL_3", "NISSAN_LEAF")
+"""Of production cars whose bends are as tight as the attacker's."""
+
+
+@pytest.mark.parametrize(
+    ("name", "i"), [(name, i) for i, name in enumerate(ATTACKS) if i % 8 == 3 and name not in OF_A_KIT]
+)
+def test_through_the_port_of_a_production_car_the_same_bounds_hold(name: str, i: int) -> None:
+    """An eighth of the attacks; all: `python -m tests.attack.table --ports TESLA_MODEL_3 NISSAN_LEAF`."""
+    pytest.importorskip("opendbc")
+    drive = through_port(PORTS[i // 8 % 2], watched(ATTACKS[name]), speed=SPEEDS[i % 3])
+    assert drive.complaints() == []
