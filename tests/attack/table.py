@@ -31,7 +31,7 @@ def row(name: str) -> str:
 
 
 def compared(name: str, controllers: list[str], drive: Callable[..., Drive] = driven_by) -> str:
-    """One attack: of each controller, or port, the latest silence, the worst true excess of |e| and a_y; what was missed."""
+    """One attack: of each controller or port the latest silence, the worst excess of |e| and a_y, what was missed."""
     cells, wrong = [name], []
     for controller in controllers:
         drives = [drive(controller, ATTACKS[name], speed=speed) for speed in SPEEDS]
