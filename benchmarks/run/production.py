@@ -15,6 +15,7 @@ from steerkit.car.production.port import STEP, Frame, Port
 from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.state_machine import Mode, Order
 from steerkit.paths.path import Path
+from steerkit.task import DT
 
 BEAT = 0.1
 
@@ -78,7 +79,7 @@ class ProductionWorld:
     """A line to the car, as a `CarClient` is one: each `query` moves time on by a sample. The panel's keys are read."""
 
     def __init__(
-        self, config: CarConfig, path: Path | None = None, *, judged: bool = True, dt: float = 0.05, **more: Any
+        self, config: CarConfig, path: Path | None = None, *, judged: bool = True, dt: float = DT, **more: Any
     ):
         self.config, self.path, self.dt = config, path or course_of(config), dt
         self.judge = SafetyJudge(platform(config.port)) if judged else None

@@ -200,7 +200,7 @@ def design_model_of(config: CarConfig) -> DesignModel:
         delay=config.delay,
         lag=config.lag + (port.late if port else 0.0),
         rate_limit=min(DesignModel.rate_limit, float(config.gate.rate(config.states.v_engage_max))),
-        slew=(port.slew or config.gate.jerk_max) if port else None,
+        slew=(port.slew or min(config.gate.jerk_max, port.turning)) if port else None,
         a_y_limit=(port.torque_limit or config.gate.a_y_max) if port else None,
         budget=BUDGET,
         clock=time.perf_counter,

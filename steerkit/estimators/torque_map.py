@@ -52,7 +52,7 @@ class TorqueMap:
     """Turning that a fit needs [s]."""
     noise: float = number(0.15, "m/s^2", above=0.0)
     """What a sample's lateral acceleration deviates by from this model, for a second or so [m/s^2]."""
-    sure: float = number(0.05, "1", above=0.0)
+    sure: float = number(0.06, "1", above=0.0)
     """Largest deviation of the gain, as a share of it [1]."""
     memory: float = number(120.0, "s", above=0.0)
     """Time after which a sample counts 1/e [s]."""

@@ -444,4 +444,4 @@ OF_A_KIT = tuple(
     if name.startswith(("report ", "kit ", "two kit ", "echo ", "a foreign sender of the ", "bang-bang at "))
     and name != "report speed + 3 m/s"
 )
-"""Those on a kit's own frames and flags, which a production car does not have, or which its slow gate makes harmless."""
+"""Those on a kit's own frames and flags, and those that a slow gate makes harmless: not for production cars."""

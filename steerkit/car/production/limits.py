@@ -16,6 +16,8 @@ from steerkit.vehicles.rollout import GateLimits
 
 CONTROL_HZ = 100.0
 """Frames of a port's counter in a second."""
+SPEEDS = (10.0, 31.0)
+"""Between which a production car is driven by a lane keeping system [m/s]."""
 WITHIN = 0.95
 """The gate stays within this share of a port's limits: the port's own frames, and their rounding, lie between."""
 _KEPT = 0.5
@@ -28,17 +30,20 @@ _WORST_ROLL = 0.06 * 9.81  # m/s^2: opendbc `safety/lateral.h`, AVERAGE_ROAD_ROL
 class PortLimits:
     """The limits of a port and of its safety model on a command, as bounds on the steering wheel of that car.
 
-    By what the platform takes, v the speed, frame the time between two commands of its own:
+    By an angle, with the rates that are allowed at some speeds (`safety/lateral.h`, steer_angle_cmd_checks),
 
-        angle       |delta_sw| <= delta_max, |delta_sw'| <= table(v)/frame           `safety/lateral.h`,
-                                                                                     steer_angle_cmd_checks
-                    or |v^2 kappa| <= a_y_max, |v^2 kappa'| <= jerk_max              steer_angle_cmd_checks_vm
-        curvature   |kappa| <= kappa_max, |kappa'| <= table(v)/frame,                steer_angle_cmd_checks
-                    |v^2 kappa| <= a_y_max, |kappa - r/v| <= error_max
-        torque      |u| <= 1, |u'| <= up/frame, so |a_y| <= gain (1 - friction),     steer_torque_cmd_checks
-                    |a_y'| <= gain up/frame
+        |delta_sw| <= delta_max,  |delta_sw'| <= rates(v),
 
-    kappa = tan(delta_sw/steer_ratio)/(L + K v^2). Source: opendbc 0.3.1, the file named, and `car/MAKER/values.py`.
+    or with a model of the car (steer_angle_cmd_checks_vm), kappa = tan(delta_sw/steer_ratio)/(L + K v^2),
+
+        |v^2 kappa| <= a_y_max,  |v^2 kappa'| <= jerk_max;
+
+    by a curvature as by the first, and besides within a_y_max and within error_max of the measured one; by a torque u
+    (steer_torque_cmd_checks), whose largest change in a frame is up,
+
+        |a_y| <= gain (1 - friction),  |a_y'| <= gain up/frame.
+
+    Source: opendbc 0.3.1, `safety/lateral.h` and `car/MAKER/values.py`.
     """
 
     delta_max: float = math.inf
@@ -51,6 +56,8 @@ class PortLimits:
     """[m/s^2]"""
     jerk_max: float = JERK_MAX
     """[m/s^3]"""
+    turning: float = math.inf
+    """Fastest change of the lateral acceleration by the table, at the worst of `SPEEDS` [m/s^3]."""
     error_max: float = math.inf
     """By how much a commanded curvature may be off the measured one [1/m]."""
     slew: float | None = None
@@ -76,6 +83,13 @@ class PortLimits:
         )
 
 
+def _turning(rates: tuple[tuple[float, float], ...], car: Vehicle) -> float:
+    """rates(v) v^2/(steer_ratio (L + K v^2)) at the worst speed [m/s^3]."""
+    v = np.arange(*SPEEDS)
+    length = float(car.wheelbase) + float(car.understeer_gradient) * v * v
+    return float(np.min(np.interp(v, *zip(*rates)) * v * v / (float(car.steer_ratio) * length)))
+
+
 def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
     """The limits of a platform's port, for a car of these numbers."""
     controls = platform.controls
@@ -99,13 +113,17 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
     speeds, rates = (np.asarray(column, float) for column in angles.ANGLE_RATE_LIMIT_UP)
     if platform.steered_by == "angle":
         table = tuple(zip(map(float, speeds), map(float, np.radians(rates) / frame)))
-        return PortLimits(delta_max=radians_of(angles.STEER_ANGLE_MAX), rate_max=table[0][1], rates=table)
+        turning = _turning(table, vehicle)
+        return PortLimits(
+            delta_max=radians_of(angles.STEER_ANGLE_MAX), rate_max=table[0][1], rates=table, turning=turning
+        )
     length, ratio = vehicle.wheelbase, vehicle.steer_ratio
-    turning = [float(ratio * length * rate / frame) for rate in rates]
+    table = tuple(zip(map(float, speeds), [float(ratio * length * rate / frame) for rate in rates]))
     return PortLimits(
         delta_max=float(ratio * math.atan(length * angles.STEER_ANGLE_MAX)),
-        rate_max=turning[0],
-        rates=tuple(zip(map(float, speeds), turning)),
-        a_y_max=3.0 - _WORST_ROLL,
+        rate_max=table[0][1],
+        rates=table,
+        turning=_turning(table, vehicle),
+        a_y_max=A_Y_MAX - _WORST_ROLL,
         error_max=float(controls.CURVATURE_ERROR),
     )

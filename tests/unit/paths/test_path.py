@@ -198,3 +198,9 @@ def test_the_recorded_speed_takes_as_long_as_the_recording(name, seconds):
 def test_what_is_wrong_with_a_shape_is_said(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_the_highway_is_wide() -> None:
+    path = courses.course("highway")
+    assert path.closed
+    assert float(np.abs(path.samples.kappa).max()) == pytest.approx(0.0025, rel=0.02)

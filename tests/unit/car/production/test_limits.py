@@ -1,0 +1,73 @@
+"""The limits of a port, and that what keeps within them passes opendbc's safety code."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("opendbc")
+
+from benchmarks.studies import production_cars as study
+from steerkit.car.gate import gate
+from steerkit.car.production.limits import limits_of
+from steerkit.car.production.platforms import platform
+from steerkit.vehicles import vehicle
+from tests.support.production import config, judged, ported, steered
+
+
+@judged
+@settings(max_examples=10)
+@given(
+    st.sampled_from(
+        ["TESLA_MODEL_3", "NISSAN_LEAF", "TOYOTA_RAV4_TSS2_2023", "FORD_MUSTANG_MACH_E_MK1", "TOYOTA_COROLLA"]
+    ),
+    st.lists(st.floats(-12.0, 12.0) | st.just(math.nan) | st.just(math.inf), min_size=4, max_size=8),
+    st.floats(8.0, 28.0),
+)
+def test_nothing_that_passes_the_gate_is_rejected_by_the_safety_code(name: str, wishes: list[float], v: float) -> None:
+    car = ported(name, v_min=v, v_max=v)
+    car.advance(1.2)
+    last = 0.0
+    for wish in wishes:
+        for _ in range(4):
+            verdict = gate(car.config.gate, wish, last, (v, v), 0.02)
+            if verdict.send:
+                last = verdict.delta_sw
+            steered(car, 0.02, last)
+    assert car.car.counts.sent > 10
+    assert car.car.counts.rejected == 0
+
+
+def test_a_gate_with_a_table_of_rates_lets_no_more_through_than_a_line_of_it() -> None:
+    limits = config("NISSAN_LEAF").gate
+    (v_0, rate_0), (v_1, rate_1), (v_2, rate_2) = limits.rates
+    assert limits.rate(0.5 * (v_0 + v_1)) == pytest.approx(0.5 * (rate_0 + rate_1))
+    assert limits.rate(0.25 * v_1 + 0.75 * v_2) == pytest.approx(0.25 * rate_1 + 0.75 * rate_2)
+    assert limits.rate(40.0) == pytest.approx(rate_2)
+    assert np.allclose(limits.rate(np.array([v_1, v_2])), [rate_1, rate_2])
+    verdict = gate(replace(limits, a_y_max=5.0, jerk_max=10.0), 1.0, 0.0, (v_2,), 0.02)
+    assert rate_2 * 0.02 - limits.quantum < verdict.delta_sw <= rate_2 * 0.02
+    with pytest.raises(ValueError, match="fall ever more slowly"):
+        replace(limits, rates=((0.0, 1.0), (5.0, 2.0)))
+
+
+@pytest.mark.parametrize("name", ["TOYOTA_COROLLA_TSS2", "HONDA_CIVIC_BOSCH", "VOLKSWAGEN_GOLF_MK7"])
+def test_a_torque_s_limits_are_those_of_its_port(name: str) -> None:
+    found = platform(name)
+    limits = limits_of(found, vehicle(name.lower().replace("_", "-")))
+    per_second = {"TOYOTA_COROLLA_TSS2": 15 * 100 / 1500, "HONDA_CIVIC_BOSCH": 3.0, "VOLKSWAGEN_GOLF_MK7": 4 * 50 / 300}
+    assert limits.jerk_max == pytest.approx(min(5.0, per_second[name] * found.lateral.gain))
+    assert limits.torque_limit == pytest.approx(found.lateral.gain * (1.0 - found.lateral.friction))
+
+
+@judged
+def test_of_frames_that_break_a_limit_none_passes() -> None:
+    for name in ("NISSAN_LEAF", "HYUNDAI_ELANTRA_2021"):
+        row = study.altered((name, 300, 3))
+        assert row["altered"] >= 300
+        assert row["passed"] == 0
+        assert row["hostile"] > 10
+        assert row["hostile_rejected"] == 0

@@ -1,0 +1,44 @@
+"""The line between a port and its car."""
+
+import time
+
+import pytest
+
+pytest.importorskip("opendbc")
+
+from steerkit.car.production.line import SocketLine, SocketServer, line_of
+from steerkit.car.production.platforms import platform
+from steerkit.car.production.port import Frame
+
+
+def test_frames_cross_a_socket_whole() -> None:
+    server = SocketServer()
+    line = SocketLine(server.channel)
+    frames = [Frame(0x488, b"\x01\x02\x03\x04", 0), Frame(0x18DAB0F1, bytes(32), 2)]
+    server.receive()
+    line.send(frames, steering=True, t=0.0)
+    for _ in range(100):
+        if got := server.receive():
+            break
+    assert got == frames
+    server.send(frames[::-1])
+    for _ in range(1000):
+        if back := line.receive():
+            break
+    assert back == frames[::-1]
+    server.close()
+    time.sleep(0.05)
+    with pytest.raises(OSError, match="gone"):
+        line.receive()
+    line.close()
+
+
+def test_a_line_that_is_none_or_not_there_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"expected 127\.0\.0\.1:PORT"):
+        line_of({"line": "socket", "channel": "10.0.0.1:99"}, platform("TESLA_MODEL_3"))
+    with pytest.raises(ValueError, match="panda"):
+        line_of({"line": "pandas"}, platform("TESLA_MODEL_3"))
+    with pytest.raises(OSError, match="panda"):
+        line_of({}, platform("TESLA_MODEL_3"))
+    with pytest.raises(OSError, match="cannot be opened"):
+        line_of({"line": "python-can", "interface": "socketcan", "channels": ["nothere0"]}, platform("TESLA_MODEL_3"))

@@ -1,0 +1,105 @@
+"""Whole drives through gate, port and safety code, and what may go wrong in them."""
+
+import json
+import math
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("opendbc")
+
+from benchmarks.run.production import ProductionWorld
+from benchmarks.studies import production_cars as study
+from steerkit.car import processes
+from steerkit.car.client import CarClient
+from steerkit.car.simulated import Fault
+from steerkit.car.state_machine import Mode, Order
+from tests.support.production import config, judged
+
+
+@judged
+@pytest.mark.parametrize(
+    ("name", "controller"), [("NISSAN_LEAF", "lqr"), ("SUBARU_OUTBACK", "mpc"), ("RIVIAN_R1", "auto")]
+)
+def test_a_drive_through_gate_port_and_safety_code(name: str, controller: str) -> None:
+    row = study.driven((name, controller, 12.0, 4))
+    assert row["held"], row
+    assert row["max_e"] < 0.2
+    assert row["rejected"] == row["not_in_order"] == 0
+    assert row["frames"] > 5000
+
+
+@judged
+@pytest.mark.parametrize("what", [*study.FAULTS, *study.KILLED])
+def test_whatever_goes_wrong_nothing_asks_for_steering_soon(what: str) -> None:
+    row = study.faulty(("FORD_MUSTANG_MACH_E_MK1", what, 2))
+    assert row["drove"]
+    assert row["silent_s"] <= 0.25, row
+    assert row["rejected"] <= 2 * (what in ("wrong check sums", "frames frozen"))  # which it notices a sample sooner
+    told = {
+        "driver's torque": "override",
+        "brake": "brake",
+        "door": "DOOR_OPEN",
+        "cruise control off": "CRUISE_OFF",
+        "steering fault": "STEERING_FAULT",
+        "ignition off, bus lost": "CAN_INVALID",
+        "frames frozen": "CAN_INVALID",
+        "frames 0.3 s late": "CAN_INVALID",
+        "wrong check sums": "",  # of frames without one, whatever is in them
+        "pose lost": "pose",
+        "controller killed": "controller",
+        "car server killed": "operator: engage",
+    }
+    assert told[what] in row["cause"], row["cause"]
+    modes = {"driver's torque": "OVERRIDE", "brake": "OVERRIDE", "car server killed": "ENGAGED"}
+    if what == "wrong check sums" and row["mode"] == "OVERRIDE":  # whatever is in those frames that have none
+        modes[what] = "OVERRIDE"
+    assert row["mode"] == modes.get(what, "FAULT")
+    if what in ("brake", "cruise control off", "ignition off, bus lost", "frames frozen", "wrong check sums"):
+        assert not row["allowed"]
+
+
+def test_a_car_that_was_not_allowed_is_not_engaged() -> None:
+    world = ProductionWorld(config("TESLA_MODEL_3"), judged=False)
+    world.car.faults.append(Fault(kind="disabled", target="report", start=0.0))
+    drive = study.drive_of(world, "lqr")
+    for _ in range(40):
+        drive.step()
+    assert world.mode is Mode.STANDBY
+    assert any("CRUISE_OFF" in text for text in world.core.obstacles())
+
+
+def test_a_killed_car_server_leaves_a_production_car_to_its_human(tmp_path: Path) -> None:
+    """In three processes, in real time; the car's steering lets go by itself."""
+    log = tmp_path / "car.log"
+    simulated, channel = processes.start_simulated("production-car.toml", log=str(log))
+    server = processes.start_car_server("production-car.toml", str(tmp_path / "socket"), channel=channel)
+    try:
+        with (
+            CarClient(str(tmp_path / "socket")) as line,
+            CarClient(str(tmp_path / "socket"), controller=False) as panel,
+        ):
+            end = time.monotonic() + 20.0
+            while time.monotonic() < end:
+                snapshot = line.query()
+                panel.beat()
+                if math.isfinite(snapshot.delta_sw):
+                    line.request(snapshot.delta_sw)
+                order = {Mode.OFF: Order.ARM, Mode.READY: Order.ENGAGE}.get(snapshot.mode)
+                if order is not None:
+                    panel.order(order)
+                if snapshot.mode is Mode.ENGAGED and '"enabled": true' in log.read_text(encoding="utf-8")[-200:]:
+                    break
+                time.sleep(0.02)
+            assert snapshot.mode is Mode.ENGAGED, snapshot.text
+            server.kill()
+            server.wait()
+            killed = time.monotonic()
+        time.sleep(0.8)
+        states = [json.loads(text) for text in log.read_text(encoding="utf-8").splitlines() if '"enabled"' in text]
+        assert [state["enabled"] for state in states if state["t"] > killed + 0.3]
+        assert not any(state["enabled"] for state in states if state["t"] > killed + 0.3)
+    finally:
+        server.kill()
+        simulated.kill()
