@@ -9,9 +9,8 @@
   up to the signal's end; a request while the safety code does not allow one), each judged without being sent;
   altered_passed counts those that pass. Then a controller without sense asks the gate for anything, NaN included, while
   the car drives straight on: gate_passed_wrong counts frames that left the port and were rejected.
-* learning: from nothing, behind gate and port; with the safety filter where an angle or a curvature is taken. There is
-  no filter for a torque: there the car server ends driving at 3 m instead of 1 m. A net is good when it steered for 20 s
-  on end within 0.5 m. departures: samples with |e| > 0.5 m while engaged, the first second of each left out.
+* learning: from nothing, with the safety filter, behind gate and port. A net is good when it steered for 20 s on end
+  within 0.5 m. departures: samples with |e| > 0.5 m while engaged, the first second of each left out.
 * faults: what goes wrong in mid-drive; silent_s: until the last frame that asks for steering.
 
     python -m benchmarks study production_cars [--parts PART ...] [--ports NAME ...] [--minutes M] [--seeds N] [--json]
@@ -269,9 +268,8 @@ class Beside(SimulatedTrainer):
 def learned(piece: tuple[str, int, float]) -> dict[str, Any]:
     """One learning run: port, seed, seconds."""
     name, seed, seconds = piece
-    torque = platform(name).steered_by == "torque"
-    world: Any = ProductionWorld(config_of(name, e_max=3.0 if torque else 1.0), seed=seed)
-    how = replace(setting("default"), safe=not torque)
+    world: Any = ProductionWorld(config_of(name), seed=seed)
+    how = replace(setting("default"), safe=True)
     with (
         tempfile.TemporaryDirectory() as folder,
         CarLearner(how, Path(folder) / "run", world.config, world.path, world, seed=seed, clock=None) as learner,

@@ -321,11 +321,10 @@ def foresight(config: CarConfig) -> ExcursionPredictor:
 def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailSafe:
     """The safety filter before the gate of `config`."""
     budget = None if clock is None else BUDGET
-    model = replace(
-        design_model_of(config), slew=None, a_y_limit=None
-    )  # the gate's limits are a port's, and it has them
     return FailSafe(
-        block=make_safety(model, GateModel(limits=config.gate)), budget=budget, clock=clock or time.perf_counter
+        block=make_safety(design_model_of(config), GateModel(limits=config.gate)),
+        budget=budget,
+        clock=clock or time.perf_counter,
     )
 
 

@@ -30,6 +30,7 @@ from steerkit.paths.path import Path
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import Car, SingleTrack
+from steerkit.task import DT
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import GateModel
 
@@ -387,14 +388,20 @@ def make_recovery(name: str, design_model: DesignModel, *, alone: bool = False) 
 def make_safety(design_model: DesignModel, gate: GateModel | None = None) -> SafetyFilter:
     """The safety filter for what is believed of car and steering, and for the gate behind it, if there is one.
 
-    A gate makes the wheel slow: it is looked further ahead then, and a command is held for less.
-    Raises ValueError for a car that is steered by torque: its wheel is too slow for the time that is looked ahead.
+    A gate makes the wheel slow: it is looked further ahead then, and a command is held for less. Behind the gate of a
+    production car's port, with its slew, the backup is the slower law that a car steered by torque gets.
+    Raises ValueError for a car that is steered by torque without such a gate.
     """
     slew = f"slew = {design_model.slew} [m/s^3], expected none: the filter is for cars whose steering takes an angle"
-    require(design_model.slew is None, "make_safety", slew)
+    require(design_model.slew is None or gate is not None, "make_safety", slew)
     behind: dict[str, Any] = {"gate": gate, **BEHIND_GATE} if gate else {}
+    if gate:  # a slow one: until the wheel has gone from one side to the other
+        more = max(0.0, BEHIND_GATE["hold"] * DT + gate.turning + 0.1 - BEHIND_GATE["horizon"])
+        behind["horizon"] = math.ceil((behind["horizon"] + more) / DT - 1e-9) * DT
+        behind["preview_points"] += math.ceil(more / SafetyFilter.preview_dt)
     steering = dict(delay=design_model.delay, lag=design_model.lag, rate_limit=design_model.rate_limit)
-    return SafetyFilter.of(design_model.vehicle, **steering, **behind)
+    made = SafetyFilter.of(design_model.vehicle, **steering, **behind)
+    return made if design_model.slew is None else replace(made, backup=_soft(design_model))
 
 
 def make_element(name: str, vehicle: Vehicle | None = None) -> OutputElement:
