@@ -111,6 +111,14 @@ class Platform:
         row = import_module("opendbc.car.interfaces").get_torque_params()[self.name]
         return LateralMap(gain=float(row["LAT_ACCEL_FACTOR"]), friction=float(row["FRICTION"]))
 
+    @property
+    def play(self) -> float:
+        """By how much a curvature's lateral acceleration has to turn round before the port follows [m/s^2].
+
+        Source: opendbc `car/ford/carcontroller.py`, anti_overshoot, which is for these two.
+        """
+        return 0.1 if self.name in ("FORD_BRONCO_SPORT_MK1", "FORD_F_150_MK14") else 0.0
+
     @cached_property
     def motor_scale(self) -> float:
         """Torque of the motor over its code in the frames [1], of Toyota."""

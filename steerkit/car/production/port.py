@@ -91,7 +91,11 @@ class Port:
         lateral = self.platform.lateral
         self._map = TorqueMap(gain=lateral.gain, friction=min(1.0, lateral.friction))
         self._fit, self._integral, self._a_y, self._turning = self._map.init(), 0.0, 0.0, 0.0
-        self._rubs, self._goals = 0.0, deque([math.nan], maxlen=1 + round((config.delay + config.lag) / STEP))
+        self._rubs, self._goal, self._goals = (
+            0.0,
+            math.nan,
+            deque([math.nan], maxlen=1 + round((config.delay + config.lag) / STEP)),
+        )
         self._torques = deque([0.0], maxlen=1 + round((config.delay + config.lag) / STEP))
         self.steering = False
         """Did the last frames ask for steering?"""
@@ -187,7 +191,10 @@ class Port:
             case "angle":
                 to.steeringAngleDeg = float(degrees_of(wanted))
             case "curvature":
-                to.curvature = -float(self._kappa(wanted, v))  # opendbc counts it to the right
+                a_y = v * v * self._kappa(wanted, v)
+                self._rubs, self._goal = (self._way(a_y), a_y) if active else (0.0, math.nan)
+                played = self.platform.play * self._rubs / max(v * v, 1.0)
+                to.curvature = -float(self._kappa(wanted, v) + played)  # opendbc counts it to the right
             case _:
                 to.torque = self._torque(state, wanted, v, active)
         return control
@@ -196,20 +203,25 @@ class Port:
         car = self.config.vehicle
         return math.tan(delta_sw / car.steer_ratio) / (car.wheelbase + car.understeer_gradient * v * v)
 
+    def _way(self, goal: float) -> float:
+        """Which way friction or play acts once this is wanted [m/s^2], from -1 to 1: against how that changed last."""
+        changed = 0.0 if math.isnan(self._goal) else goal - self._goal
+        return max(-1.0, min(1.0, self._rubs + changed / _FRICTION_WIDTH))
+
     def _torque(self, state: Any, wanted: float, v: float, active: bool) -> float:
         a_y = v * v * self._kappa(radians_of(state.steeringAngleDeg), v)
         self._turning += (STEP / _SMOOTH) * ((a_y - self._a_y) / STEP - self._turning) if active else -self._turning
         self._a_y = a_y
         if not active:
             self._integral = self._rubs = 0.0
+            self._goal = math.nan
             self._torques.append(0.0)
             self._goals.clear()
             return 0.0
         self._fit = self._map.update(self._fit, u=self._torques[0], a_y=a_y, turning=self._turning, dt=STEP)
         known = self._map.found(self._fit)
         goal = v * v * self._kappa(wanted, v)
-        changed = goal - (self._goals[-1] if self._goals else a_y)
-        self._rubs = max(-1.0, min(1.0, self._rubs + changed / _FRICTION_WIDTH))
+        self._rubs, self._goal = self._way(goal), goal
         self._goals.append(goal)
         missing = self._goals[0] - a_y
         asked = goal - known.offset + P_GAIN * missing + self._integral
