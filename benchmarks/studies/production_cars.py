@@ -192,11 +192,12 @@ def altered(piece: tuple[str, int, int]) -> dict[str, Any]:
         heard.clear()
         drive.step()
         v = float(world.car.now.v)
-        for frame in heard:
+        steering = [frame for frame in heard if frames.command(frame.frame_id, frame.data, v)]
+        for frame in steering[-1:]:  # that which the safety code compares with
             command = frames.command(frame.frame_id, frame.data, v)
             if world.mode is not Mode.ENGAGED or command is None or not command.active or command.value == 0.0:
                 continue
-            for _ in range(20):
+            for _ in range(40):
                 # Honda's safety code bounds neither torque nor its rate: there only a request that may not be is wrong
                 jump = rng.random() < 0.7 and found.maker != "honda"
                 if jump:
