@@ -401,7 +401,8 @@ def make_safety(design_model: DesignModel, gate: GateModel | None = None) -> Saf
         behind["preview_points"] += math.ceil(more / SafetyFilter.preview_dt)
     steering = dict(delay=design_model.delay, lag=design_model.lag, rate_limit=design_model.rate_limit)
     made = SafetyFilter.of(design_model.vehicle, **steering, **behind)
-    return made if design_model.slew is None else replace(made, backup=_soft(design_model))
+    slower: Any = _soft(design_model)
+    return made if design_model.slew is None else replace(made, backup=slower)
 
 
 def make_element(name: str, vehicle: Vehicle | None = None) -> OutputElement:

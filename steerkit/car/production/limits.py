@@ -87,7 +87,8 @@ def _turning(rates: tuple[tuple[float, float], ...], car: Vehicle) -> float:
     """rates(v) v^2/(steer_ratio (L + K v^2)) at the worst speed [m/s^3]."""
     v = np.arange(*SPEEDS)
     length = float(car.wheelbase) + float(car.understeer_gradient) * v * v
-    return float(np.min(np.interp(v, *zip(*rates)) * v * v / (float(car.steer_ratio) * length)))
+    rate = np.interp(v, [at for at, _ in rates], [fast for _, fast in rates])
+    return float(np.min(rate * v * v / (float(car.steer_ratio) * length)))
 
 
 def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
