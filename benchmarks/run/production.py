@@ -10,6 +10,7 @@ from steerkit._support.files import toml_of
 from steerkit.car import core, protocol
 from steerkit.car.config import CarConfig, Reading, course_of, shipped
 from steerkit.car.core import Core, Event, Link, Note, Packet, Reply, Send, Tick
+from steerkit.car.production.car_frames import CarFrames
 from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import STEP, Frame, Port
 from steerkit.car.production.simulated import ProductionCar
@@ -164,3 +165,33 @@ class ProductionWorld:
     def mode(self) -> Mode:
         """Who steers."""
         return self.core.machine.mode
+
+
+def altered(frames: CarFrames, frame_id: int, data: bytes, *, by: float = 0.0, active: bool | None = None) -> bytes:
+    """A frame that steers, with another value (by so much, in units of its `Command`) or request; for tests.
+
+    Its check sum stays as it was. Raises KeyError for a frame that does not steer.
+    """
+    from opendbc.can.packer import set_value
+    from opendbc.can.parser import get_raw_value
+
+    message, value, request, sign = frames.asks[frame_id]
+    changed, signal = bytearray(data), message.sigs[value]
+    if by:
+        full = frames.platform.full if frames.platform.steered_by == "torque" else 1.0
+        command = frames.command(frame_id, data, 0.0)
+        assert command is not None
+        wanted = sign * (command.value * frames.platform.full_at(0.0) + by * full)
+        if frames.platform.maker == "volkswagen":
+            side = message.sigs["HCA_01_LM_OffSign" if "HCA_01_LM_OffSign" in message.sigs else "LM_OffSign"]
+            set_value(changed, side, int(wanted < 0.0))
+            wanted = abs(wanted)
+        code = round((wanted - signal.offset) / signal.factor)
+        low, high = (
+            (-(1 << signal.size - 1), (1 << signal.size - 1) - 1) if signal.is_signed else (0, (1 << signal.size) - 1)
+        )
+        set_value(changed, signal, max(low, min(high, code)))
+    if active is not None and request:
+        old = get_raw_value(data, message.sigs[request])
+        set_value(changed, message.sigs[request], (old or 1) if active else 0)
+    return bytes(changed)

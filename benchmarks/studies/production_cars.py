@@ -33,6 +33,7 @@ from rich.table import Table
 from benchmarks.judges.opendbc_safety import SafetyJudge
 from benchmarks.run import spread
 from benchmarks.run.production import PortedCar, ProductionWorld, config_of
+from benchmarks.run.production import altered as altered_frame
 from steerkit.car import loop as loops
 from steerkit.car.core import RESEND
 from steerkit.car.gate import gate
@@ -206,7 +207,7 @@ def altered(piece: tuple[str, int, int]) -> dict[str, Any]:
                     size = math.exp(rng.uniform(math.log(least), math.log(most)))
                     # a torque may fall to nothing at once
                     side = command.value if found.steered_by == "torque" else rng.uniform(-1.0, 1.0)
-                    data = frames.altered(frame.frame_id, frame.data, by=math.copysign(size, side))
+                    data = altered_frame(frames, frame.frame_id, frame.data, by=math.copysign(size, side))
                     again = frames.command(frame.frame_id, data, v)
                     if again is None or abs(again.value - command.value) < 0.9 * least:
                         continue  # the signal's end is nearer

@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("opendbc")
 
+from benchmarks.run.production import altered
 from steerkit.car.production.car_frames import CarFrames, Said
 from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import Frame, Port
@@ -70,12 +71,12 @@ def test_the_other_way_of_reading_a_command_is_its_inverse() -> None:
         steered(car, 0.3, -0.1)
         frame, command = next((f, c) for f in heard[::-1] if (c := car.car.frames.command(f.frame_id, f.data, 13.0)))
         by = 0.001 if car.car.platform.steered_by == "curvature" else 0.2
-        changed = car.car.frames.altered(frame.frame_id, frame.data, by=by)
+        changed = altered(car.car.frames, frame.frame_id, frame.data, by=by)
         again = car.car.frames.command(frame.frame_id, changed, 13.0)
         assert again is not None
         assert again.value - command.value == pytest.approx(by, abs=0.06 * by + 0.004 * (by > 0.1) + 2e-5)
         off = car.car.frames.command(
-            frame.frame_id, car.car.frames.altered(frame.frame_id, frame.data, active=False), 13.0
+            frame.frame_id, altered(car.car.frames, frame.frame_id, frame.data, active=False), 13.0
         )
         assert off is not None
         assert not off.active
