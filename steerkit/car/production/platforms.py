@@ -187,11 +187,3 @@ def platform(name: str) -> Platform:
     if found.obstacle:
         raise ValueError(f"[port] opendbc = {name!r}: {found.obstacle}")
     return found
-
-
-def curvature_factor(wheelbase: float, slip: float, v: float) -> float:
-    """kappa over the road-wheel angle [1/m]: 1/((1 - slip v^2) L).
-
-    Source: opendbc `safety/lateral.h`, get_curvature_factor; Guiggiani 2014, section 6.
-    """
-    return 1.0 / ((1.0 - slip * v * v) * wheelbase)
