@@ -58,7 +58,8 @@ class PandaLine:
             from panda import Panda
         except ImportError as error:
             raise OSError(
-                "[port] line = 'panda': its library is not installed: pip install pandacan, or give line = 'python-can'"
+                "[port] line = 'panda': its library is not installed (github.com/commaai/panda); "
+                "or give line = 'python-can'"
             ) from error
         try:
             self._panda = Panda(serial or None)

@@ -41,6 +41,10 @@ KEYS = {
         "nmpc20_x_raw_qp nmpc40_ms"
     ),
     "nfq_iteration": "decision_numpy_us equal_work memory_x_data seconds seconds_torch vs_torch_rprop_x",
+    "production_cars": (
+        "altered altered_passed apply_ms departures drives drives_held frames honest_rejected learned learned_of "
+        "ports update_ms"
+    ),
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
     "throughput": (
         "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_linear_x batch_x "
@@ -144,6 +148,12 @@ def sensible(name: str, f: Any) -> None:
         case "gym_steps":
             assert all(rate > 0.0 for rates in f["steps_per_cpu_second"].values() for rate in rates.values())
             assert f["x_sync_vector_env"] > 3.0
+        case "production_cars":
+            assert f["ports"] == f["drives"] == f["drives_held"] == 3
+            assert f["honest_rejected"] == f["altered_passed"] == f["departures"] == 0
+            assert f["frames"] > 5000
+            assert f["altered"] > 50
+            assert f["update_ms"] > 0.0
         case "safety":
             assert (f["runs"], f["departures"], f["departures_without"]) == (1, 0, 1)
             assert 0.3 < f["adversary_max_e"] < 0.5
