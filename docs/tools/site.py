@@ -32,6 +32,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Support": ("_support",),
 }
 """Pages of the reference, by modules and packages of steerkit; a longer name goes before a shorter."""
+PLATFORMS = "<!-- platforms -->"
+"""The mark of the table of production cars in a page."""
 FOREIGN = re.compile(r"""<(?:script|link|img|iframe)\b[^>]*?(?:src|href)=["']?(?:https?:)?//[^"'\s>]+""")
 log = logging.getLogger("mkdocs.hooks.site")
 
@@ -86,6 +88,31 @@ def on_files(files: Any, config: Any) -> Any:
         text = f"# {title}\n\n" + "\n\n".join(f"::: steerkit.{name}" for name in names) + "\n"
         files.append(File.generated(config, f"reference/{_slug(title)}.md", content=text))
     return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Puts the table of production cars where the page has its mark."""
+    return markdown.replace(PLATFORMS, _platforms()) if PLATFORMS in markdown else markdown
+
+
+def _platforms() -> str:
+    from steerkit.car.production.table import AT, rows
+
+    try:
+        found = rows()
+    except ValueError as error:  # opendbc does not run on every Python
+        return f"The table is not here: {error}"
+    head = f"platform | by | from [m/s] | delay [s] | a_y at {AT:g} m/s [m/s²] | its rate [m/s³]"
+    lines = [head, "|".join(["---"] * 6)]
+    for row in found:
+        if row["obstacle"]:
+            lines.append(f"{row['name']} | not steered: {row['obstacle']} | | | |")
+        else:
+            numbers = (
+                f"{row[key]:.{digits}f}" for key, digits in (("slowest", 1), ("delay", 2), ("a_y", 1), ("jerk", 1))
+            )
+            lines.append(" | ".join((row["name"], row["by"], *numbers)))
+    return "\n".join(f"| {line} |" for line in lines)
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:

@@ -22,7 +22,7 @@ import struct
 import threading
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path as File
@@ -50,7 +50,7 @@ EVENTS: dict[str, type[Event]] = {
 DESCRIPTION, COPIES = "/description", 2
 """The topic of the description, and how often it is written: each copy in a chunk of its own, before all messages."""
 _CORE = ("/can/tx", "/state", "/command", "/steers", "/car", "/refused", "/estimates", "/safety", "/adapted")
-TOPICS = (*EVENTS, *_CORE, DESCRIPTION)
+TOPICS = (*EVENTS, *_CORE, DESCRIPTION, "/port")
 """Those, what the core sent and why. A topic's place is its number in the file: only add at the end."""
 NAME = "steerkit"
 """Profile and library in the file's header."""
@@ -197,6 +197,12 @@ class Recording:
                 case Note():
                     lines.append((f"/{out.topic}", out.values))
         self._queue.put(lines)
+
+    def frames(self, t: float, received: Sequence[Any], sent: Sequence[Any]) -> None:
+        """A step of a production car's port: the (id, data, bus) of its car's frames, and of those to it; at once."""
+        if not self._broken:
+            told = [[f"{bus} {frame_id:X} {data.hex()}" for frame_id, data, bus in some] for some in (received, sent)]
+            self._queue.put([("/port", {"t": t, "received": told[0], "sent": told[1]})])
 
     def close(self, timeout: float = 10.0) -> None:
         """Write what is left and the file's end; `failed` says so when that does not succeed within `timeout` [s]."""

@@ -279,6 +279,8 @@ class CarServer:
                     step = self._port.step(now)
                 if not self.config.listen_only:
                     self._line.send(step.to_car, steering=self._port.steering, t=now)
+                if self.recording:
+                    self.recording.frames(now, frames, step.to_car)
                 for frame_id, data in step.reports:
                     self._put((now, frame_id, data, ""))
                 due = max(due + port.STEP, now)

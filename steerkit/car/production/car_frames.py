@@ -52,52 +52,28 @@ class Command(NamedTuple):
     active: bool
 
 
-ASKS: dict[str, tuple[tuple[str, str, str, float], ...]] = {
-    "chrysler": (("LKAS_COMMAND", "STEERING_TORQUE", "LKAS_CONTROL_BIT", 1.0),),
-    "ford": (
-        ("LateralMotionControl", "LatCtlCurv_No_Actl", "LatCtl_D_Rq", 1.0),
-        ("LateralMotionControl2", "LatCtlCurv_No_Actl", "LatCtl_D2_Rq", 1.0),
-    ),
-    "gm": (("ASCMLKASteeringCmd", "LKASteeringCmd", "LKASteeringCmdActive", 1.0),),
-    "honda": (("STEERING_CONTROL", "STEER_TORQUE", "STEER_TORQUE_REQUEST", -1.0),),
-    "hyundai": (
-        ("LKAS11", "CR_Lkas_StrToqReq", "CF_Lkas_ActToi", 1.0),
-        ("LFA", "StrTqReqVal", "ActToiSta", 1.0),
-        ("LKAS", "StrTqReqVal", "ActToiSta", 1.0),
-        ("LKAS_ALT", "StrTqReqVal", "ActToiSta", 1.0),
-    ),
-    "mazda": (("CAM_LKAS", "LKAS_REQUEST", "", 1.0),),
-    "nissan": (("LKAS", "DESIRED_ANGLE", "LKA_ACTIVE", 1.0),),
-    "rivian": (("ACM_lkaHbaCmd", "ACM_lkaStrToqReq", "ACM_lkaActToi", 1.0),),
-    "subaru": (("ES_LKAS", "LKAS_Output", "LKAS_Request", 1.0),),
-    "tesla": (("DAS_steeringControl", "DAS_steeringAngleRequest", "DAS_steeringControlType", -1.0),),
-    "toyota": (
-        ("STEERING_LTA", "STEER_ANGLE_CMD", "STEER_REQUEST", 1.0),
-        ("STEERING_LKA", "STEER_TORQUE_CMD", "STEER_REQUEST", 1.0),
-    ),
-    "volkswagen": (("HCA_01", "HCA_01_LM_Offset", "HCA_01_Sendestatus", 1.0), ("HCA_1", "LM_Offset", "", 1.0)),
-}
-"""By maker: the messages that steer: name, signal of the value, signal of the request, sign; Toyota's first one
-takes an angle, and only cars that are steered by one heed it."""
-MORE = {
-    "ford": ("EngVehicleSpThrottle2",),
-    "hyundai": ("EMS16",),
-    "nissan": ("BRAKE_PEDAL",),
-    "volkswagen": ("Motor_14", "GRA_ACC_01"),
-}
-"""By maker: messages that only the safety code reads, on the first bus."""
-SHORTER = {"BRAKE_PEDAL": 4}
-"""Messages that are shorter on the bus than in their DBC, in bytes."""
+@cache
+def _table() -> dict[str, Any]:
+    return tomllib.loads((files("steerkit.car.production") / "frames.toml").read_text(encoding="utf-8"))
 
 
 @cache
 def _says(maker: str) -> dict[str, dict[str, Any]]:
     """What a maker's cars say: message, signal, and the compiled arithmetic of its value; see `frames.toml`."""
-    text = (files("steerkit.car.production") / "frames.toml").read_text(encoding="utf-8")
-    table = tomllib.loads(text)[maker]
     return {
         name: {signal: compile(str(value), f"frames.toml {name}", "eval") for signal, value in signals.items()}
-        for name, signals in table.items()
+        for name, signals in _table()[maker].items()
+    }
+
+
+def steering_messages(platform: Platform, interface: Any) -> dict[int, tuple[Any, str, str, float]]:
+    """The messages that steer a car, by their ids: message, signal of the value, of the request or "", sign."""
+    dbc = next(iter(interface.can_parsers.values())).dbc
+    other = "STEERING_LKA" if platform.steered_by == "angle" else "STEERING_LTA"
+    return {
+        dbc.name_to_msg[name].address: (dbc.name_to_msg[name], value, active, float(sign))
+        for name, value, active, sign in _table()["steers"][platform.maker]
+        if name != other and name in dbc.name_to_msg
     }
 
 
@@ -119,19 +95,14 @@ class CarFrames:
             packer = CANPacker(parser.dbc_name)
             names = [state.name for state in parser.message_states.values() if not state.ignore_alive]
             first = parser.bus == min(p.bus for p in interface.can_parsers.values() if p and p.message_states)
-            names += [name for name in MORE.get(platform.maker, ()) if first and name not in names]
+            more = _table()["checked"].get(platform.maker, ())
+            names += [name for name in more if first and name not in names]
             for name in names:
                 if message := parser.dbc.name_to_msg.get(name):
                     known = {signal: code for signal, code in says.get(name, {}).items() if signal in message.sigs}
                     self._messages.append((packer, message, parser.bus, known))
         self._step = 0
-        self.asks: dict[int, tuple[Any, str, str, float]] = {}
-        """The messages that steer, by their ids: see `ASKS`."""
-        dbc = next(iter(interface.can_parsers.values())).dbc
-        for name, value, active, sign in ASKS[platform.maker]:
-            heeded = name != ("STEERING_LKA" if platform.steered_by == "angle" else "STEERING_LTA")
-            if heeded and (message := dbc.name_to_msg.get(name)):
-                self.asks[message.address] = (message, value, active, sign)
+        self.asks = steering_messages(platform, interface)
 
     def send(self, said: Said) -> list[tuple[int, bytes, int]]:
         """The frames (id, data, bus) of one step of 10 ms."""
@@ -142,7 +113,7 @@ class CarFrames:
         for packer, message, bus, codes in self._messages:
             if codes or slow:
                 known = {signal: float(eval(code, _KNOWN, names)) for signal, code in codes.items()}
-                data = bytes(packer.pack(message.address, known))[: SHORTER.get(message.name)]
+                data = bytes(packer.pack(message.address, known))[: _table()["shorter"].get(message.name)]
                 frames.append((message.address, self._protected(message, data), bus))
         self._step += 1
         return frames

@@ -12,6 +12,7 @@ from collections import deque
 from typing import Any, NamedTuple
 
 from steerkit.car.config import CarConfig
+from steerkit.car.production.car_frames import steering_messages
 from steerkit.car.production.platforms import LateralMap, platform
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.torque_map import TorqueMap
@@ -29,6 +30,8 @@ RELEASED = 0.1
 wheel as it is."""
 REJECTIONS = 3
 """So many of them within a second are a fault."""
+OTHER = 1.0
+"""For so long after a frame that steers and that the port did not send, another computer steers too [s]."""
 REJECTED_BUS = 192
 """A panda gives a frame back with its bus and this added when its safety code has rejected it."""
 SENT_BUS = 128
@@ -82,7 +85,9 @@ class Port:
         self._control, self._can_data = structs.CarControl, CanData
         self._readers = [r for r in config.readers if r.name.startswith("PORT_")]
         self._pending: list[tuple[int, bytes, int]] = []
-        self._heard = self._received = self._released = -math.inf
+        self._heard = self._received = self._released = self._other = -math.inf
+        self._steers = steering_messages(self.platform, self._interface)
+        self._own: set[tuple[int, int]] = set()  # (id, bus) of the frames that steer
         self._command, self._enable = math.nan, False
         self._rejected: deque[float] = deque()
         self._data: dict[tuple[int, int], bytes] = {}
@@ -119,6 +124,8 @@ class Port:
             return
         if frame.bus < SENT_BUS:
             self._received, of = t, (frame.frame_id, frame.bus)
+            if of in self._own:
+                self._other = t
             if self._data.get(of) != frame.data:
                 self._data[of], self._changed = frame.data, t
         self._pending.append(frame)
@@ -149,6 +156,7 @@ class Port:
             _, frames_out = self._interface.apply(request.as_reader(), nanos)
             apply_s = time.perf_counter() - began
             sends = [Frame(a, bytes(d), b) for a, d, b in frames_out if b < SENT_BUS]
+            self._own.update((frame.frame_id, frame.bus) for frame in sends if frame.frame_id in self._steers)
         reports = self._reports(t, state)
         now = self._k % 2 == 0 and self._received > -math.inf
         return Step(sends, reports if now else [], update_s, apply_s)
@@ -166,6 +174,7 @@ class Port:
             "DOOR_OPEN": state.doorOpen,
             "BELT_OPEN": state.seatbeltUnlatched,
             "TOO_SLOW": state.vEgoRaw < self.platform.slowest,
+            "OTHER_SENDER": t - self._other < OTHER,
         }
 
     def _may_steer(self, t: float, state: Any) -> bool:

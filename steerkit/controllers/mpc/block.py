@@ -59,7 +59,7 @@ class PredictiveSteering(Block):
     came; residual [1] of the optimality conditions, NaN for an input that is not finite, 1e9 for a solution that is
     not; plan [rad/s], the rates from this sample on. State: the commands on their way, the plan, the samples since
     its solution.
-    valid: v from 0.5 to 20 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. Beyond e_reach, e
+    valid: v from 0.5 to 40 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. Beyond e_reach, e
     counts as e_reach. A batch is solved car by car. Equal arguments give equal results, except for milliseconds (0 with
     clock=None) and for what a `budget` makes of them. A command that is replaced on its way to the wheel (while another
     controller steers) is not known here. Of compiled loops those in C and in generated Python run it, to the same

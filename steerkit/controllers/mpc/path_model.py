@@ -25,7 +25,7 @@ A plant's own, on floats and on symbols.
 
 NX = 6
 """States of a stage: e, psi_e, sway, r, wheel angle, command."""
-V_LOW, V_HIGH, V_STEP = 0.5, 20.0, 0.25
+V_LOW, V_HIGH, V_STEP = 0.5, 40.0, 0.25
 """Speeds [m/s] between which the car is modelled, and how far apart the tabled ones are."""
 SPEEDS = np.arange(V_LOW, V_HIGH + 0.5 * V_STEP, V_STEP)
 """The tabled speeds [m/s]."""

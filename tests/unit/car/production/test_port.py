@@ -7,7 +7,7 @@ pytest.importorskip("opendbc")
 from benchmarks.run.production import PortedCar, ProductionWorld
 from benchmarks.studies import production_cars as study
 from steerkit.car.production.platforms import LateralMap, platform
-from steerkit.car.production.port import REJECTED_BUS, RELEASED, SILENCE, Frame
+from steerkit.car.production.port import OTHER, REJECTED_BUS, RELEASED, SILENCE, Frame
 from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.simulated import Fault
 from steerkit.paths.courses import course
@@ -45,6 +45,26 @@ def test_a_port_asks_for_nothing_without_a_fresh_command_and_sends_nothing_into_
     steered(car, 0.3, 0.1)
     assert not heard
     assert not car.port.steering
+
+
+@pytest.mark.parametrize("name", ["TESLA_MODEL_3", "TOYOTA_COROLLA_TSS2", "FORD_MUSTANG_MACH_E_MK1"])
+def test_another_sender_of_frames_that_steer_is_noticed_and_the_port_lets_go(name: str) -> None:
+    car = ported(name)
+    heard: list[Frame] = []
+    car.listen = heard.append
+    car.advance(1.2)
+    steered(car, 0.4, 0.02)
+    assert car.port.steering
+    own = next(f for f in heard if f.frame_id in car.car.frames.asks)
+    car.port.receive(car.due, own._replace(bus=own.bus + 2))  # the camera's, behind the relay
+    steered(car, 0.04, 0.02)
+    assert car.port.steering
+    car.port.receive(car.due, own)
+    steered(car, 0.04, 0.02)
+    assert not car.port.steering
+    assert car.port.why == "OTHER_SENDER"
+    steered(car, OTHER + 0.1, 0.02)
+    assert car.port.steering
 
 
 def test_equal_frames_give_equal_frames() -> None:

@@ -11,7 +11,7 @@ pytest.importorskip("opendbc")
 
 from benchmarks.run.production import ProductionWorld
 from benchmarks.studies import production_cars as study
-from steerkit.car import processes
+from steerkit.car import processes, recording
 from steerkit.car.client import CarClient
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
@@ -74,7 +74,10 @@ def test_a_killed_car_server_leaves_a_production_car_to_its_human(tmp_path: Path
     """In three processes, in real time; the car's steering lets go by itself."""
     log = tmp_path / "car.log"
     simulated, channel = processes.start_simulated("production-car.toml", log=str(log))
-    server = processes.start_car_server("production-car.toml", str(tmp_path / "socket"), channel=channel)
+    kept = str(tmp_path / "drive.mcap")
+    server = processes.start_car_server(
+        "production-car.toml", str(tmp_path / "socket"), channel=channel, recording=kept
+    )
     try:
         with (
             CarClient(str(tmp_path / "socket")) as line,
@@ -100,6 +103,10 @@ def test_a_killed_car_server_leaves_a_production_car_to_its_human(tmp_path: Path
         states = [json.loads(text) for text in log.read_text(encoding="utf-8").splitlines() if '"enabled"' in text]
         assert [state["enabled"] for state in states if state["t"] > killed + 0.3]
         assert not any(state["enabled"] for state in states if state["t"] > killed + 0.3)
+        steps = [one.values for one in recording.read(kept).messages if one.topic == "/port"]
+        assert len(steps) > 10  # the car's own frames are kept too
+        assert sum(len(step["received"]) for step in steps) > 50
+        assert {frame.split()[1] for step in steps for frame in step["sent"]} >= {"488"}  # DAS_steeringControl
     finally:
         server.kill()
         simulated.kill()

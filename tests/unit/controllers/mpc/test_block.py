@@ -271,7 +271,7 @@ def test_it_plans_and_commands_what_was_written_down(kind: Any, slow: bool) -> N
         {"e": 0.7, "psi_e": -0.1, "r": 0.2, "v": 8.0},
         {"e": -1.5, "v": 6.0, "kappa": 0.08, "r": 0.4, "delta_sw_meas": 1.5},
         {"e": 0.3, "v": 0.1, "delta_sw_meas": 0.4},
-        {"e": 0.2, "v": 25.0, "beta": 0.02, "kappa": 0.002},
+        {"e": 0.2, "v": 45.0, "beta": 0.02, "kappa": 0.002},
         {"psi_e": 3.3, "r": 6.0, "beta": -2.0, "delta_sw_meas": -20.0},
         {"e": 0.1, "psi_e": 0.05, "beta": math.nan, "delta_sw_meas": 0.3},
     ]
