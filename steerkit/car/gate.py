@@ -24,7 +24,7 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
     """The command that may be sent, given the request, the command before it, and what is known of the speed.
 
     v      = max |speeds|, at least v_floor; v_max if one of them is no number, or none is known
-    target = sat(request) to |delta_sw| <= delta_sw_max and |kappa| <= a_y_max/v^2
+    target = sat(request) to |delta_sw| <= delta_sw_max and |kappa| <= a_y_max/v^2, kappa = tan(delta)/(L + K v^2)
     out    = sat(target) to last +- rate(v)*dt and kappa(last) +- jerk_max/v^2*dt,  dt at most dt_max,
              and, where |kappa| grows, to |v^2 kappa + v arm dkappa/dt| <= a_y_max, a_y of the centre of gravity, or
              by one quantum
@@ -43,11 +43,12 @@ def gate(limits: GateLimits, request: float, last: float, speeds: Sequence[float
         return Verdict(False, 0.0, "last command is out of range")
     if not (math.isfinite(dt) and dt >= limits.dt_min):
         return Verdict(False, 0.0, "too soon after the last frame")
-    q, ratio, length = limits.quantum, limits.steer_ratio, limits.wheelbase
+    q, ratio = limits.quantum, limits.steer_ratio
     n_max = math.floor(limits.delta_sw_max / q + 1e-9)
     n_last = max(-n_max, min(n_max, round(last / q)))
     last = n_last * q
     v = pessimistic(limits, speeds)
+    length = limits.length(v)
     dt = min(dt, limits.dt_max)
 
     bound = min(limits.delta_sw_max, ratio * math.atan(length * limits.a_y_max / (v * v)))

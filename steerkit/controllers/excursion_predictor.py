@@ -61,7 +61,7 @@ class ExcursionPredictor(Block):
     def _reach(self, u: Any, side: float) -> Scalar:
         """The furthest that the car gets to the left (side = 1) or right (-1) while it is steered the other way [m]."""
         limits = self.gate.limits
-        ratio, length, gain = limits.steer_ratio, limits.wheelbase, yaw_gain(u.v, limits.wheelbase, 0.0)
+        ratio, length, gain = limits.steer_ratio, limits.wheelbase, yaw_gain(u.v, limits.wheelbase, limits.understeer)
         e, psi_e, kappa, wheel = side * u.e, side * u.psi_e, side * u.kappa, side * u.doe  # the right is mirrored
         furthest = e
         for n in range(round(self.horizon / _STEP)):

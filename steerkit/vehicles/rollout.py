@@ -252,7 +252,9 @@ class GateLimits:
     steer_ratio: float = 15.6
     """Steering-wheel angle over road-wheel angle [1]."""
     wheelbase: float = 2.71
-    """L [m]; kappa = tan(delta_sw/steer_ratio)/L, which an understeering car does not reach: pessimistic."""
+    """L [m]; kappa = tan(delta_sw/steer_ratio)/(L + K v^2)."""
+    understeer: float = 0.0
+    """K [rad s^2/m]; with 0 an understeering car does not reach kappa: pessimistic."""
     arm: float = 1.49
     """Centre of gravity to rear axle [m]: while kappa grows the centre is swung aside, which adds to a_y."""
     quantum: float = radians_of(0.1)
@@ -263,7 +265,8 @@ class GateLimits:
     """Longest time that a change may be spread over [s]: a pause earns no jump."""
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__.keys() - {"rates"}:
+        require(0.0 <= self.understeer < math.inf, "GateLimits", f"understeer = {self.understeer}, expected >= 0")
+        for name in self.__dataclass_fields__.keys() - {"rates", "understeer"}:
             value = getattr(self, name)
             require(0.0 < value < math.inf, "GateLimits", f"{name} = {value}, expected a finite number > 0")
         ok = self.delta_sw_max / self.steer_ratio < 1.4 and self.dt_min <= self.dt_max and self.v_floor <= self.v_max
@@ -276,6 +279,10 @@ class GateLimits:
             "GateLimits",
             f"rates = {self.rates}, expected speeds that grow and rates > 0 that fall ever more slowly",
         )
+
+    def length(self, v: Scalar) -> Scalar:
+        """L + K v^2 [m]: tan of the road-wheel angle over curvature, in steady cornering."""
+        return self.wheelbase + self.understeer * v * v
 
     def rate(self, v: Scalar) -> Scalar:
         """The fastest change of delta_sw at this speed [rad/s]: the largest of the table's lines, within its ends."""
@@ -292,7 +299,7 @@ class GateLimits:
 class GateModel:
     """How far a gate before the bus lets the wheel turn in a sample, at the most and at the least; for roll-outs.
 
-    A gate bounds the angle, its rate, and what the car would feel: kappa = tan(delta_sw/steer_ratio)/L within
+    A gate bounds the angle, its rate, and what the car would feel: kappa = tan(delta_sw/steer_ratio)/(L + K v^2) within
     a_y_max/v^2, |dkappa/dt| <= jerk_max/v^2, and while |kappa| grows |v^2 kappa + v arm dkappa/dt| <= a_y_max. It works
     frame by frame and rounds each frame, at a speed that it knows a little differently. `pushed` is the command that it
     lets through within a sample, as far to the left as it may be; the mirror image of it as far to the right.
@@ -327,7 +334,7 @@ class GateModel:
 
         v [m/s]; early [s]: by how much sooner than the sample before the first frame may have been due.
         """
-        gate, ratio, length = self.limits, self.limits.steer_ratio, self.limits.wheelbase
+        gate, ratio, length = self.limits, self.limits.steer_ratio, self.limits.length(v)
         fast, slow = m.maximum(v, gate.v_floor), m.maximum(v + self.v_doubt, gate.v_floor)
         bent = m.tan(before / ratio)
         kappa, most, least = bent / length, gate.a_y_max / (fast * fast), gate.a_y_max / (slow * slow)

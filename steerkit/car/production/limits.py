@@ -58,6 +58,8 @@ class PortLimits:
     """[m/s^3]"""
     turning: float = math.inf
     """Fastest change of the lateral acceleration by the table, at the worst of `SPEEDS` [m/s^3]."""
+    understeer: float = 0.0
+    """What the gate may count on of the car's K [rad s^2/m]: by torque, which cannot do more, and by curvature."""
     error_max: float = math.inf
     """By how much a commanded curvature may be off the measured one [1/m]."""
     slew: float | None = None
@@ -80,6 +82,7 @@ class PortLimits:
             rates=tuple([(v, WITHIN * rate) for v, rate in self.rates]),
             a_y_max=max(least["a_y_max"], min(limits.a_y_max, WITHIN * self.a_y_max)),
             jerk_max=min(limits.jerk_max, WITHIN * self.jerk_max),
+            understeer=self.understeer,
         )
 
 
@@ -102,7 +105,14 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
         most = lateral.gain * (1.0 - lateral.friction)
         slew = min(JERK_MAX, share * lateral.gain)
         late = 0.5 * lateral.gain * lateral.friction / slew
-        return PortLimits(a_y_max=min(A_Y_MAX, most), jerk_max=slew, slew=_KEPT * slew, torque_limit=most, late=late)
+        return PortLimits(
+            a_y_max=min(A_Y_MAX, most),
+            jerk_max=slew,
+            understeer=max(0.0, float(vehicle.understeer_gradient)),
+            slew=_KEPT * slew,
+            torque_limit=most,
+            late=late,
+        )
     angles: Any = controls.ANGLE_LIMITS
     if getattr(angles, "MAX_LATERAL_ACCEL", 0.0):
         return PortLimits(
@@ -126,5 +136,6 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
         rates=table,
         turning=_turning(table, vehicle),
         a_y_max=A_Y_MAX - _WORST_ROLL,
+        understeer=max(0.0, float(vehicle.understeer_gradient)),
         error_max=float(controls.CURVATURE_ERROR),
     )

@@ -189,5 +189,5 @@ def test_the_numbers_of_topics_are_for_good() -> None:
     """They tell the topics of a file whose first chunk is lost: only ever add at the end."""
     assert " ".join(recordings.TOPICS) == (
         "/can/rx /client /link /tick /recording /end /can/tx /state /command /steers /car /refused /estimates /safety "
-        "/adapted /description"
+        "/adapted /description /port"
     )
