@@ -13,7 +13,8 @@
   within 0.5 m. departures: samples with |e| > 0.5 m while engaged, the first second of each left out.
 * faults: what goes wrong in mid-drive; silent_s: until the last frame that asks for steering.
 
-    python -m benchmarks study production_cars [--parts PART ...] [--ports NAME ...] [--minutes M] [--seeds N] [--json]
+    python -m benchmarks study production_cars [--parts PART ...] [--ports NAME ...] [--minutes M] [--speeds LOW HIGH]
+    [--seeds N] [--json]
 """
 
 from __future__ import annotations
@@ -138,10 +139,15 @@ def drive_of(world: ProductionWorld, controller: str) -> Drive:
     return Drive(world, follow.resting, each)
 
 
-def driven(piece: tuple[str, str, float, int]) -> dict[str, Any]:
-    """One drive: port, controller, seconds, seed."""
-    name, controller, seconds, seed = piece
-    world = ProductionWorld(config_of(name), seed=seed)
+def _between(speeds: tuple[float, float] | None) -> dict[str, float]:
+    """What a simulated car is given of the speeds [m/s] that it is to drive at; its file's without."""
+    return {} if speeds is None else {"v_min": speeds[0], "v_max": speeds[1]}
+
+
+def driven(piece: tuple[str, str, float, int, tuple[float, float] | None]) -> dict[str, Any]:
+    """One drive: port, controller, seconds, seed, speeds [m/s]."""
+    name, controller, seconds, seed, speeds = piece
+    world = ProductionWorld(config_of(name), seed=seed, **_between(speeds))
     drive = drive_of(world, controller)
     while len(drive.e) < round(seconds / DT) and not drive.ended and world.t < seconds + 10.0:
         drive.step()
@@ -267,10 +273,10 @@ class Beside(SimulatedTrainer):
         """Nothing to end."""
 
 
-def learned(piece: tuple[str, int, float]) -> dict[str, Any]:
-    """One learning run: port, seed, seconds."""
-    name, seed, seconds = piece
-    world: Any = ProductionWorld(config_of(name), seed=seed)
+def learned(piece: tuple[str, int, float, tuple[float, float] | None]) -> dict[str, Any]:
+    """One learning run: port, seed, seconds, speeds [m/s]."""
+    name, seed, seconds, speeds = piece
+    world: Any = ProductionWorld(config_of(name), seed=seed, **_between(speeds))
     how = replace(setting("default"), safe=True)
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -297,7 +303,7 @@ def learned(piece: tuple[str, int, float]) -> dict[str, Any]:
                 good = since - drive.engaged_at
         last = np.array(drive.e[-round(60.0 / DT) :])
         figures = learner.figures()
-    best = driven((name, "mpc", min(60.0, seconds), seed))
+    best = driven((name, "mpc", min(60.0, seconds), seed, speeds))
     wheel = drive.wheel_rate_deg(60.0)
     return {
         "port": name,
@@ -360,6 +366,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="what to measure (all)")
     parser.add_argument("--ports", nargs="+", default=None, help="which, by opendbc's names (all 31)")
     parser.add_argument("--minutes", type=float, default=10.0, help="of driving with each port (10)")
+    parser.add_argument(
+        "--speeds", nargs=2, type=float, default=None, help="lowest and highest, of drives and learners [m/s]"
+    )
     parser.add_argument("--frames", type=int, default=100_000, help="to alter (100,000)")
     parser.add_argument("--seeds", type=int, default=3, help="learners of each of five ports (3)")
     parser.add_argument("--learn-minutes", type=float, default=4.0, help="of each learner (4)")
@@ -372,12 +381,12 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     some = QUICK[:1] if options.quick else LEARNS
     seconds = 2.0 if options.quick else 60.0 * options.minutes / len(CONTROLLERS)
     jobs: dict[str, tuple[Callable[[Any], dict[str, Any]], list[Any]]] = {
-        "drives": (driven, [(name, c, seconds, i) for name in ports for i, c in enumerate(CONTROLLERS)]),
+        "drives": (driven, [(n, c, seconds, i, options.speeds) for n in ports for i, c in enumerate(CONTROLLERS)]),
         "altered": (altered, [(name, 60 if options.quick else options.frames // len(ports) + 1, 1) for name in ports]),
         "learning": (
             learned,
             [
-                (name, seed, 3.0 if options.quick else 60.0 * options.learn_minutes)
+                (name, seed, 3.0 if options.quick else 60.0 * options.learn_minutes, options.speeds)
                 for name in some
                 for seed in range(1 if options.quick else options.seeds)
             ],
