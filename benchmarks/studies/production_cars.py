@@ -139,7 +139,7 @@ def drive_of(world: ProductionWorld, controller: str) -> Drive:
     return Drive(world, follow.resting, each)
 
 
-def _between(speeds: tuple[float, float] | None) -> dict[str, float]:
+def _between(speeds: tuple[float, float] | None) -> dict[str, Any]:
     """What a simulated car is given of the speeds [m/s] that it is to drive at; its file's without."""
     return {} if speeds is None else {"v_min": speeds[0], "v_max": speeds[1]}
 
