@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import io
 import math
@@ -123,31 +124,58 @@ def append_line(file: File, line: str) -> None:
 
 
 _NO_TEXT = {
-    b"PK\x03\x04": "a ZIP archive, such as a spreadsheet; export it as CSV",
+    b"PK\x03\x04": "an Excel workbook or another ZIP archive; save its sheet as CSV (UTF-8)",
+    b"\xd0\xcf\x11\xe0": "an Excel workbook of old; save its sheet as CSV (UTF-8)",
     b"\x1f\x8b": "compressed by gzip; unpack it",
-    b"\xff\xfe": "UTF-16 text; save it as UTF-8",
-    b"\xfe\xff": "UTF-16 text; save it as UTF-8",
     b"\x89PNG": "a picture",
     b"%PDF": "a PDF",
 }
 """How files begin that are often taken for text."""
 
 
-def read_text(file: File, where: str) -> str:
-    """The text of a file in UTF-8, without the byte-order mark that some programs put before it.
+_WIDE = (b"\xff\xfe", b"\xfe\xff")
 
-    Raises ValueError, in the name of `where`, for what is no such text, saying what it looks like; else as `opened`.
+
+def read_text(file: File, where: str, *, latin: bool = False) -> str:
+    """The text of a file in UTF-8 or UTF-16, without the byte-order mark that some programs put before it.
+
+    latin: read it as Latin-1 where it is not. Raises ValueError, in the name of `where`, for what is no such text,
+    saying what it looks like; else as `opened`.
     """
     data = read_bytes(file, LARGEST_TEXT)
-    known = next((what for start, what in _NO_TEXT.items() if data.startswith(start)), "")
-    what = known or ("binary" if b"\0" in data else "")
+    known, wide = _no_text(data), data.startswith(_WIDE)
+    what = known or ("binary" if b"\0" in data and not wide else "")
     require(not what, where, f"{file} is {what}, expected text in UTF-8" if not known else f"{file} is {known}")
     try:
-        return data.decode("utf-8-sig")
+        return data.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError as error:
+        if latin and not wide:
+            return data.decode("latin-1")
         line = data.count(b"\n", 0, error.start) + 1
         what = f"{file}, line {line}: byte {data[error.start]:#x} is not UTF-8 (Latin-1?); save the file as UTF-8"
         raise ValueError(f"{where}: {what}") from error
+
+
+def _no_text(head: bytes) -> str:
+    return next((what for start, what in _NO_TEXT.items() if head.startswith(start)), "")
+
+
+def decoded(stream: Any) -> Iterator[str]:
+    """The lines of a stream of bytes with `peek`: UTF-8 or UTF-16, or else, line by line, as Windows writes them.
+
+    Raises ValueError for what is no text, saying what it looks like.
+    """
+    head = stream.peek(4)[:4]
+    require(not _no_text(head), f"{stream.name}", f"is {_no_text(head)}")
+    if head.startswith(_WIDE):
+        yield from codecs.getreader("utf-16")(stream, "replace")
+        return
+    for k, raw in enumerate(stream):
+        line = raw.removeprefix(b"\xef\xbb\xbf") if k == 0 else raw
+        try:
+            yield line.decode("utf-8")
+        except UnicodeDecodeError:
+            yield line.decode("latin-1")
 
 
 def read_toml(file: File, where: str) -> dict[str, Any]:

@@ -545,7 +545,7 @@ class Reading:
             return {"name": self.entry("course", table, "name", str)}
         name, closed = (self.entry("course", table, key, kind) for key, kind in (("file", str), ("closed", bool)))
         with self.noted(f"[course] file = {name!r}: "):
-            text = self.text(name, lambda place: read_text(place, "course"))
+            text = self.text(name, lambda place: read_text(place, "course", latin=True))
             return {"file": name, "path": Path.from_csv(name, closed=closed, text=text)}
         return {}
 

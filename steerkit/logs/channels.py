@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import known, require
 from steerkit._support.files import read_toml
-from steerkit.diagram.units import FACTORS, RAD_PER_DEG
+from steerkit._support.quantities import COMMANDS, NAMES, QUANTITIES, SPELT, UNITS, ended_unit, place, words
 
 Array = NDArray[np.floating[Any]]
 
@@ -55,68 +55,13 @@ class Table:
     """Their times (n,) [s]; None where one of the columns is the time."""
 
 
-QUANTITIES = {
-    "t": "s",
-    "delta_sw": "rad",
-    "delta": "rad",
-    "v": "m/s",
-    "r": "rad/s",
-    "psi": "rad",
-    "x": "m",
-    "y": "m",
-    "lat_deg": "deg",
-    "lon_deg": "deg",
-}
-"""What a drive is made of: time, steering-wheel angle (or delta, the road wheels'), speed, yaw rate, heading (one of r
-and psi, or both), and where it was, if the log knows."""
-
-UNITS: dict[str, dict[str, float]] = {**FACTORS, "deg": {"deg": 1.0, "rad": 1.0 / RAD_PER_DEG}}
-"""SI unit (degrees for a place on Earth) to the units that a column may have, and what one of them is in it."""
-
-_SPELLINGS = {
-    "s": "s sec seconds",
-    "ms": "ms",
-    "us": "us",
-    "ns": "ns",
-    "m": "m meter metre",
-    "m/s": "mps m_s m/sec",
-    "km/h": "kmh kph km/hr",
-    "mph": "mph",
-    "deg": "deg ° degree degrees grad",
-    "deg/s": "deg_s degs dps °/s deg/sec degrees/s deg/second",
-    "rad": "rad radian radians",
-    "rad/s": "rad_s radps rads rad/sec",
-}
-_SPELT = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings.split()}
-"""Units as files spell them, or as names end in them."""
-
-_COMMANDS = "safety.delta_sw supervisor.delta_sw doe.delta_sw controller.delta_sw"
-_KNOWN_AS = {
-    "t": "t time timestamp timestamps stamp time_stamp elapsed_time log_time t_abs",
-    "delta_sw": f"{_COMMANDS} delta_sw steering_wheel_angle steering_wheel steer_wheel_angle steering_angle "
-    "steer_angle sw_angle str_ang lws_angle sas_angle",
-    "delta": "delta steering_tire_angle steering_tyre_angle road_wheel_angle tire_angle df",
-    "v": "v sensors.v car.v wheel_speeds.mean vehicle_speed longitudinal_velocity veh_spd v_ego speed velocity v_x vx "
-    "linear.x",
-    "r": "r wz yaw_rate sensors.r car.r yawrate heading_rate psi_dot yaw_dot w_z omega_z gyro_z angular.z "
-    "angular_velocity.z",
-    "psi": "psi sensors.psi car.psi orientation.yaw",
-    "x": "x car.x position.x pos_x position_x",
-    "y": "y car.y position.y pos_y position_y",
-    "lat_deg": "lat latitude gps_lat gps_latitude",
-    "lon_deg": "lon lng longitude gps_lon gps_longitude",
-}
-_NAMES = {quantity: tuple(names.split()) for quantity, names in _KNOWN_AS.items()}
-"""Names that need no map, best first; those with a dot are the end of a longer one, or steerkit's own signals, the
-command before the angle. Capitals, blanks and dashes do not count, nor does a unit at the end."""
-
 _WISHES = ("cmd", "command", "desired", "target", "request", "setpoint", "control", "trajectory", "planning")
 """Words in the name of a topic or message that holds what was wanted, not what was."""
 
 
 def is_command(name: str) -> bool:
     """Does a channel of that name hold what the steering was asked for, and not what the wheel did?"""
-    own = any(words(name).endswith(command) for command in _COMMANDS.split())
+    own = any(words(name).endswith(command) for command in COMMANDS.split())
     return own or any(word in re.split(r"[^a-z0-9]", words(name)) for word in _WISHES)
 
 
@@ -132,50 +77,25 @@ def candidates(quantity: str, channels: Mapping[str, Channel]) -> list[str]:
 
 def is_time(name: str) -> bool:
     """Does a column of that name hold the time?"""
-    return _place("t", name) is not None
+    return place("t", name) is not None
 
 
 def _rank(quantity: str, channel: Channel) -> int | None:
-    place = _place(quantity, channel.name)
+    found = place(quantity, channel.name)
     if channel.means:
-        place = -1 if channel.means == quantity else None
-    if place is None or (channel.unit and not unit_of(quantity, channel)):
+        found = -1 if channel.means == quantity else None
+    if found is None or (channel.unit and not unit_of(quantity, channel)):
         return None
-    own = words(channel.name) in _NAMES[quantity]
+    own = words(channel.name) in NAMES[quantity]
     wished = not own and any(word in re.split(r"[^a-z0-9]", words(channel.name)) for word in _WISHES)
-    return place + 100 * wished
-
-
-def _place(quantity: str, name: str) -> int | None:
-    """Where in the list of known names this one stands: whole, or its last parts."""
-    parts = re.split(r"[./]", words(name).strip("./"))
-    tails = [".".join(parts[k:]) for k in range(len(parts))]
-    units = [ending for ending, unit in _SPELT.items() if unit in UNITS[QUANTITIES[quantity]]]
-    for place, name_there in enumerate(_NAMES[quantity]):
-        whole = tails if len(name_there) > 1 else tails[:1]  # a letter alone is the end of many names
-        if any(tail == name_there or tail in [f"{name_there}_{unit}" for unit in units] for tail in whole):
-            return place
-    return None
-
-
-def words(name: str) -> str:
-    """`SteeringWheelAngle`, `steering-wheel angle` and `STEERING_WHEEL_ANGLE` are one name."""
-    parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
-    return re.sub(r"[^0-9a-z./]+", "_", parted.lower()).strip("_")
+    return found + 100 * wished
 
 
 def unit_of(quantity: str, channel: Channel) -> str:
     """The channel's unit as the table of units has it; empty where the file says none, or one of something else."""
     unit = channel.unit.strip()
-    unit = _SPELT.get(unit.lower(), unit if unit in UNITS[QUANTITIES[quantity]] else unit.lower())
+    unit = SPELT.get(unit.lower(), unit if unit in UNITS[QUANTITIES[quantity]] else unit.lower())
     return unit if unit in UNITS[QUANTITIES[quantity]] else ""
-
-
-def ended_unit(quantity: str, name: str) -> str:
-    """The unit that a name ends in, if it is one of that quantity; else empty."""
-    lower, units = name.lower(), UNITS[QUANTITIES[quantity]] if quantity in QUANTITIES else {}
-    ends = [unit for ending, unit in _SPELT.items() if lower.endswith(f"_{ending}")]
-    return max((unit for unit in ends if unit in units), key=len, default="")
 
 
 @dataclass(frozen=True)

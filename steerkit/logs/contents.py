@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from steerkit._support.quantities import QUANTITIES, ended_unit
 from steerkit.diagram.units import degrees_of
-from steerkit.logs.channels import QUANTITIES, Channel, ColumnMap, candidates, ended_unit
+from steerkit.logs.channels import Channel, ColumnMap, candidates
 from steerkit.logs.drive import Drive
 from steerkit.logs.reading import RawLog, drive_of
 from steerkit.plots.style import COLOURS, new_figure, style

@@ -27,6 +27,8 @@ AGREE = 0.7
 """From this correlation on two channels hold the same."""
 _MOST = 4
 """Other channels of a quantity that are compared."""
+_SPARSE = 0.75
+"""A column of a table that is empty in more rows than these leave has rows of its own."""
 _LEAST = 5.0
 """Shortest time that both have to have been recorded [s]."""
 
@@ -277,6 +279,7 @@ def _many(files: Any) -> list[Any]:
 
 def _tables(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     kind = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
+    require(not kind.startswith(".xls"), str(path), "an Excel workbook; save its sheet as CSV (UTF-8)")
     if not (kind in _READERS or path.is_dir()):
         known = ", ".join((*_READERS, *_SHIPPED))
         raise ValueError(f"{path}: a recording ends in one of, is the folder of a ROS 2 bag, or is called, {known}")
@@ -315,7 +318,11 @@ def _channels(table: Table, time: Column | None, where: str) -> Iterable[Channel
         if name != clock:
             numbers = np.asarray(values, dtype=float)
             unit, means = table.units.get(name, ""), table.means.get(name, "")
-            yield Channel(name=name, t=t, values=numbers, unit=unit, means=means)
+            held = np.isfinite(numbers)
+            own = table.t is None and 0.0 < held.mean() < _SPARSE  # signals on rows of their own
+            yield Channel(
+                name=name, t=t[held] if own else t, values=numbers[held] if own else numbers, unit=unit, means=means
+            )
 
 
 def _clock(table: Table, time: Column | None, where: str) -> str:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
 import io
-import re
 import sys
 import zlib
 from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from steerkit._support.errors import optional, require
-from steerkit._support.files import Bounded
+from steerkit._support.files import Bounded, decoded
 from steerkit._support.files import read_npz as arrays_of
+from steerkit._support.tables import parted, text_table
 from steerkit.car import recording
 from steerkit.car.config import DIMENSION
 from steerkit.diagram.simulation import Log
@@ -27,7 +26,7 @@ from steerkit.logs.channels import Table
 
 Columns = dict[str, np.ndarray]
 
-_UNIT = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+NAN = float("nan")
 
 
 def read_csv(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
@@ -40,25 +39,15 @@ def read_csv(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
         return [_table(path, _ended(_lines(stream, notes), notes), notes)]
 
 
-def _lines(stream: IO[bytes], notes: list[str]) -> Iterator[str]:
-    """Lines that hold something, ended by any of the usual signs. UTF-8, or else as Windows writes it."""
+def _lines(stream: Any, notes: list[str]) -> Iterator[str]:
+    """Lines, ended by any of the usual signs."""
     try:
-        for k, raw in enumerate(stream):
-            for part in raw.removeprefix(b"\xef\xbb\xbf" if k == 0 else b"").splitlines(keepends=True):
-                line = _text(part)
-                if line.strip() and not line.lstrip().startswith("#"):
-                    yield line
+        for line in decoded(stream):
+            yield from line.splitlines(keepends=True)
     except gzip.BadGzipFile as error:
         raise ValueError(f"{stream.name}: not a gzip file, or a broken one ({error})") from error
     except (EOFError, zlib.error):
         notes.append("the compressed file is cut off or broken: what comes before is used")
-
-
-def _text(raw: bytes) -> str:
-    try:
-        return raw.decode("utf-8")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
 
 
 def _ended(lines: Iterator[str], notes: list[str]) -> Iterator[str]:
@@ -71,20 +60,15 @@ def _ended(lines: Iterator[str], notes: list[str]) -> Iterator[str]:
 
 
 def _table(path: Path, lines: Iterator[str], notes: list[str]) -> Table:
-    head = next(lines, "").rstrip("\r\n")
-    mark = max(";\t,", key=lambda c: (head.count(c), c == ";"))
-    names = [name.strip() for name in _cells(head, mark)]
-    require(names, str(path), "no rows under a row of names")
-    numbers = np.isfinite([_number(name) for name in names]).all()
-    require(not numbers, str(path), f"the first row holds numbers ({head[:60]}), no names")
+    table = text_table(lines, str(path))
+    names = table.names
     require(len(set(names)) == len(names), str(path), f"two columns of one name: {', '.join(names)}")
-    values, odd = array("d"), 0  # as text all of it would take many times the memory
-    for line in lines:
-        cells = _cells(line.replace(",", ".") if mark == ";" else line, mark)
-        last = len(cells) != len(names)
+    values, odd, last = array("d"), 0, False  # as text all of it would take many times the memory
+    for _, _, numbers in table.rows:
+        last = len(numbers) != len(names)
         odd += last
         if not last:
-            values.extend(map(_number, cells))
+            values.extend([NAN if number is None else number for number in numbers])
     if odd:
         where = "the last one: the file is cut off" if last else "in the middle of the file"
         notes.append(f"dropped {odd} rows without {len(names)} entries, among them {where}")
@@ -93,28 +77,14 @@ def _table(path: Path, lines: Iterator[str], notes: list[str]) -> Table:
     return with_units({name: column.copy() for name, column in zip(names, columns)})
 
 
-def _cells(line: str, mark: str) -> list[str]:
-    """One line at a time, so that a stray quote spoils no other line."""
-    try:
-        return next(csv.reader([line.rstrip("\r\n")], delimiter=mark), [])
-    except csv.Error:
-        return []
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")
-
-
 def with_units(columns: Columns) -> Table:
     """The columns, with the unit that a name ends in taken off it: `car.v [m/s]`, `speed (km/h)`."""
-    parts = {name: _UNIT.match(name) for name in columns}
-    bare = {name: part["name"] if part else name for name, part in parts.items()}
-    bare = bare if len(set(bare.values())) == len(bare) else {name: name for name in columns}
-    units = {bare[name]: part["unit"].strip() for name, part in parts.items() if part}
-    return Table(columns={bare[name]: values for name, values in columns.items()}, units=units)
+    parts = {name: parted(name) for name in columns}
+    distinct = len({bare for bare, _ in parts.values()}) == len(columns)
+    parts = {name: (bare if distinct else name, unit) for name, (bare, unit) in parts.items()}
+    return Table(
+        columns={parts[name][0]: values for name, values in columns.items()}, units=dict(filter(all, parts.values()))
+    )
 
 
 def read_mat(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:

@@ -126,7 +126,7 @@ class Path:
         file's. text: of the file, where it is known. Raises ValueError for a missing column or a cell that is no
         number, and as `from_waypoints`.
         """
-        text = read_text(file, "Path.from_csv") if text is None else text
+        text = read_text(file, "Path.from_csv", latin=True) if text is None else text
         xy, origin = placed(read_columns(text, f"{file}"), f"{file}")
         if origin is None:
             check_metres(checked(xy, f"{file}"), f"{file}")

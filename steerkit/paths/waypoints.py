@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from array import array
@@ -11,14 +10,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from steerkit._support.errors import require
+from steerkit._support.quantities import QUANTITIES, SPELT, UNITS, ended_unit, place
+from steerkit._support.tables import parted, text_table
+from steerkit.diagram.units import FACTORS
+
 Array = NDArray[np.float64]
 
 _FEWEST_CLOSED = 6
 
 
-def read_columns(text: str, where: str) -> dict[str, Array]:
-    """The columns of CSV text by the names in its header; lines that start with `#` are comments.
+_CALLED = {"x": "x", "y": "y", "lat_deg": "lat", "lon_deg": "lon", "t": "t", "v": "v"}
+"""Quantities, and what their columns are called here."""
+_SCALES = {unit: factor for units in FACTORS.values() for unit, factor in units.items()}
 
+
+def read_columns(text: str, where: str) -> dict[str, Array]:
+    """The columns of CSV text by their names, in SI units, degrees for lat and lon: see `text_table`.
+
+    x, y, lat, lon, t and v may have any of the names that a log's may have, and units as `x [m]` or `speed_kmh`.
     Raises ValueError for an empty file, a ragged row or a cell that is no number, with its line.
     """
     if text.lstrip().startswith("<"):
@@ -26,41 +36,44 @@ def read_columns(text: str, where: str) -> dict[str, Array]:
             f"{where}: is XML (GPX?), expected CSV; write its positions under a header 'lat,lon', one a line, as "
             "lat and lon of every <trkpt> stand in a GPX file"
         )
-    numbered = enumerate((found[0].strip() for found in re.finditer(r"[^\r\n]*(?:\r\n?|\n|\Z)", text)), 1)
-    lines = ((k, line) for k, line in numbered if line and line[0] != "#")
-    first, head = next(lines, (0, ""))
-    for sign, called in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
-        if sign in head and "," not in head:
-            raise ValueError(
-                f"{where}: line {first} is {head!r}: columns parted by {called}, expected commas, and points in "
-                "numbers (52.28, not 52,28)"
-            )
-    names = [cell.strip().lower() for cell in _cells(head)]
-    if names and _numbers(names) is not None:
-        raise ValueError(f"{where}: line {first} holds numbers, expected a header such as 'x,y' or 'lat,lon'")
+    table = text_table((found[0] for found in re.finditer(r"[^\r\n]*(?:\r\n?|\n|\Z)", text)), where)
+    columns = _named(table.names, where)
     values = array("d")  # of a row of text at a time: all of it as text would take twenty times the file
-    for k, line in lines:
-        numbers = _numbers(_cells(line))
-        if numbers is None or len(numbers) != len(names):
-            raise ValueError(f"{where}: line {k} is {line[:200]!r}, expected {len(names)} numbers ({','.join(names)})")
-        values.extend(numbers)
+    for k, line, numbers in table.rows:
+        if None in numbers or len(numbers) != len(columns):
+            names = ",".join(table.names)
+            raise ValueError(f"{where}: line {k} is {line[:200]!r}, expected {len(columns)} numbers ({names})")
+        values.extend(numbers)  # type: ignore[arg-type]
     if not values:
         raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
-    return dict(zip(names, np.frombuffer(values).reshape(-1, len(names)).T))
+    rows = np.frombuffer(values).reshape(-1, len(columns)).T
+    return {name: row if factor == 1.0 else factor * row for (name, factor), row in zip(columns, rows)}
 
 
-def _cells(line: str) -> list[str]:
-    try:
-        return next(csv.reader([line]), [])
-    except csv.Error:  # a cell beyond csv's limit of 131,072 characters
-        return [line]
+def _named(names: list[str], where: str) -> list[tuple[str, float]]:
+    """What each column is called here, and one of its unit in SI."""
+    parts = [parted(name) for name in names]
+    called = [bare.lower().removesuffix("_m") if bare.lower() == "s_m" else bare.lower() for bare, _ in parts]
+    meant = dict.fromkeys(range(len(names)), "")
+    for quantity, short in _CALLED.items():
+        found = [(place(quantity, bare), k) for k, (bare, _) in enumerate(parts)]
+        k = (
+            called.index(short)
+            if short in called
+            else min(((p, k) for p, k in found if p is not None), default=(0, -1))[1]
+        )
+        if k >= 0:
+            called[k], meant[k] = short, quantity
+    return [(name, _factor(meant[k], *parts[k], where)) for k, name in enumerate(called)]
 
 
-def _numbers(cells: list[str]) -> list[float] | None:
-    try:
-        return [float(cell) for cell in cells]
-    except ValueError:
-        return None
+def _factor(quantity: str, bare: str, unit: str, where: str) -> float:
+    unit = SPELT.get(unit.lower(), unit) or ended_unit(quantity, bare)
+    if not quantity or not unit:
+        return _SCALES.get(unit, 1.0)
+    units = UNITS[QUANTITIES[quantity]]
+    require(unit in units, where, f"column {bare}: unit '{unit}'; valid: {', '.join(units)}")
+    return units[unit]
 
 
 def stated(text: str) -> tuple[bool, float] | None:

@@ -17,7 +17,8 @@ from steerkit.diagram.block import Block
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import VehicleState
-from steerkit.paths.courses import course, course_of, lane_change, names, random_course, recorded_speed
+from steerkit.paths.courses import course, lane_change, names, random_course, recorded_speed
+from steerkit.paths.importers.course import course_of
 from steerkit.paths.importers.reading import KINDS, Address, is_road, read_course
 from steerkit.paths.path import Array, Path
 from steerkit.paths.waypoints import read_columns
@@ -106,7 +107,7 @@ class Part:
         given, text = str(getattr(self, self.file)), getattr(self, "text")  # noqa: B009
         if text is None and given.endswith(suffix):
             try:
-                object.__setattr__(self, "text", read_text(FilePath(given), self.table))
+                object.__setattr__(self, "text", read_text(FilePath(given), self.table, latin=suffix == ".csv"))
             except OSError as error:
                 raise ValueError(f"{self.table} {given} cannot be read ({error.strerror})") from error
             object.__setattr__(self, self.file, FilePath(given).name)
@@ -124,7 +125,7 @@ class Course(Part):
     lon [degrees], or any that `steerkit.paths.importers.read_course` reads, such as `town.xodr#road=1,lane=-1`, which
     is kept as such a CSV. ISO lane changes are as long as the driver's v_max asks."""
     closed: bool | None = None
-    """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.paths.courses.course_of`)."""
+    """Is a course from a file closed? None: as the file says, or as it looks (`steerkit.paths.importers.course_of`)."""
     start: float = number(0.0, "m", low=0.0, high=1e6)
     """Where on the course a drive begins [m]: at rest relative to it, so that a tight bend there is no fair start."""
     rounds: float = number(1.0, "1", low=1e-3, high=1e6)
@@ -489,7 +490,7 @@ _vehicle = lru_cache(maxsize=32)(vehicle_of)
 def speed_file(file: str) -> tuple[Array, Array]:
     """s [m] and v [m/s] in a CSV file; raises ValueError for one that cannot be read or is none."""
     try:
-        return profile_in(read_text(file, "speed"), file)
+        return profile_in(read_text(file, "speed", latin=True), file)
     except OSError as error:
         raise ValueError(f"speed {file} cannot be read ({error.strerror}), expected a CSV file: s, v") from error
 

@@ -9,9 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import re
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache, partial
 from importlib.metadata import version
 from importlib.resources import files
@@ -33,8 +31,10 @@ from steerkit.paths.courses.shapes import (
     slalom,
     straight,
 )
+from steerkit.paths.importers.course import course_of
+from steerkit.paths.importers.reading import KINDS, is_file, read_course
 from steerkit.paths.path import Array, Path
-from steerkit.paths.waypoints import check_stated, distances, placed, read_columns, stated
+from steerkit.paths.waypoints import read_columns
 
 __all__ = [
     "bends",
@@ -57,9 +57,8 @@ def names() -> tuple[str, ...]:
     return tuple(_COURSES)
 
 
-@cache
 def course(name: str) -> Path:
-    """The built-in course called `name`; made once, since paths are immutable.
+    """The built-in course called `name`, made once, since paths are immutable; or that of a file: see `read_course`.
 
     * paper: closed, 795 m, like the course of the NFQ steering experiments (`shapes.paper`);
     * genesis: a recorded real lap, 3.7 km, bends down to 24 m, open: it ends 102 m short of its start;
@@ -69,31 +68,16 @@ def course(name: str) -> Path:
     * highway: closed, 6 km, bends down to 400 m, for speeds of 12 to 30 m/s;
     * circle, straight, figure-eight, slalom, curvature-step: the formulas with their default sizes.
 
-    Raises ValueError for another name, with the nearest one.
+    Raises ValueError for another name, with the nearest one, and for a file of which no course can be made.
     """
-    return kept(name, _COURSES[known(name, _COURSES, "course")])
+    if is_file(name):
+        return read_course(name).path
+    return _built_in(known(name, _COURSES, "course", also=f"FILE{', '.join(KINDS)}"))
 
 
-def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
-    """The course in the text of a CSV file (see `Path.from_csv`), called `name`.
-
-    closed: None means as the file says, if `Path.to_csv` wrote it; else closed if its ends are no farther apart than
-    5 m or three of its steps. Raises ValueError for a broken file, naming it, and for one that is cut short.
-    """
-    said = stated(text)
-    if closed is None:
-        closed = said[0] if said else _meets_itself(text, name)
-    path = Path.from_csv(name, closed=closed, name=name.removesuffix(".csv"), text=text)
-    if said and closed == said[0]:
-        check_stated(said[1], path.length, 0.05 + 1e-4 * path.length, name)
-    place = re.search(r"^# origin (-?[\d.]+), (-?[\d.]+) deg$", text, re.MULTILINE)
-    return replace(path, origin_deg=(float(place[1]), float(place[2]))) if place else path
-
-
-def _meets_itself(text: str, name: str) -> bool:
-    points, _ = placed(read_columns(text, name), name)
-    steps = distances(points)
-    return len(points) > 2 and float(np.hypot(*(points[-1] - points[0]))) <= max(5.0, 3.0 * float(np.median(steps)))
+@cache
+def _built_in(name: str) -> Path:
+    return kept(name, _COURSES[name])
 
 
 def recorded_speed(name: str) -> tuple[Array, Array]:

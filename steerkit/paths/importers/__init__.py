@@ -8,8 +8,8 @@ town.to_csv("town.csv")                          # a course like any other
 
 from __future__ import annotations
 
-from steerkit.paths.importers.course import TIGHTEST, Course, Line
+from steerkit.paths.importers.course import TIGHTEST, Course, Line, course_of
 from steerkit.paths.importers.network import Map, Piece
 from steerkit.paths.importers.reading import Address, contents, is_road, read_course
 
-__all__ = ["TIGHTEST", "Address", "Course", "Line", "Map", "Piece", "contents", "is_road", "read_course"]
+__all__ = ["TIGHTEST", "Address", "Course", "Line", "Map", "Piece", "contents", "course_of", "is_road", "read_course"]

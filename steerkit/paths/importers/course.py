@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.paths.path import Path
-from steerkit.paths.waypoints import distances, travelled
+from steerkit.paths.waypoints import check_stated, distances, placed, read_columns, stated, travelled
 
 Array = NDArray[np.float64]
 
@@ -87,8 +88,30 @@ class Course:
         return self.path.csv_text(speeds, ", m/s", [*place, *(" ".join(note.split()) for note in self.notes)])
 
     def to_csv(self, file: str) -> None:
-        """Write it; `--course FILE`, `steerkit.paths.courses.course_of` and this package read it back."""
+        """Write it; `read_course` reads it back."""
         write_text(file, self.text())
+
+
+def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
+    """The course in the text of a CSV file (see `Path.from_csv`), called `name`.
+
+    closed: None means as the file says, if `Path.to_csv` wrote it; else closed if its ends are no farther apart than
+    5 m or three of its steps. Raises ValueError for a broken file, naming it, and for one that is cut short.
+    """
+    said = stated(text)
+    if closed is None:
+        closed = said[0] if said else _meets_itself(text, name)
+    path = Path.from_csv(name, closed=closed, name=name.removesuffix(".csv"), text=text)
+    if said and closed == said[0]:
+        check_stated(said[1], path.length, 0.05 + 1e-4 * path.length, name)
+    place = re.search(r"^# origin (-?[\d.]+), (-?[\d.]+) deg$", text, re.MULTILINE)
+    return replace(path, origin_deg=(float(place[1]), float(place[2]))) if place else path
+
+
+def _meets_itself(text: str, name: str) -> bool:
+    points, _ = placed(read_columns(text, name), name)
+    steps = distances(points)
+    return len(points) > 2 and float(np.hypot(*(points[-1] - points[0]))) <= max(5.0, 3.0 * float(np.median(steps)))
 
 
 def laid(
@@ -136,7 +159,7 @@ def laid(
     check_bends(path, tightest, f"{_smoother(noise)}{hint}")
     path = replace(path, origin_deg=origin_deg)
     s = u * (path.length / end)
-    v, limit = (_along(path, s, a) for a in (line.v, line.v_limit))
+    v, limit = (along(path, s, a) for a in (line.v, line.v_limit))
     return Course(path=path, v=v, v_limit=limit, notes=tuple(remarks))
 
 
@@ -208,7 +231,7 @@ def check_bends(path: Path, tightest: float, hint: str = "") -> None:
         raise ValueError(f"{path.name}: {what}; the car's wheel does {tightest:.2g} m{hint}")
 
 
-def _along(path: Path, s: Array, values: Array | None) -> Array | None:
+def along(path: Path, s: Array, values: Array | None) -> Array | None:
     """Values at the points of a line, at the path's knots."""
     if values is None or not np.isfinite(values).any():
         return None

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import known, require
-from steerkit._support.files import opened
+from steerkit._support.files import opened, read_text
 from steerkit.paths.importers import lanelets, tracks
-from steerkit.paths.importers.course import TIGHTEST, Course, Line, laid
+from steerkit.paths.importers.course import TIGHTEST, Course, Line, along, course_of, laid
 from steerkit.paths.importers.network import Map, Piece
 from steerkit.paths.importers.opendrive import opendrive
 from steerkit.paths.importers.tracks import rounds
 from steerkit.paths.importers.xml_stream import root_of
 from steerkit.paths.path import Array
-from steerkit.paths.waypoints import distances
+from steerkit.paths.waypoints import distances, placed, read_columns, travelled
 
 KINDS: Mapping[str, str] = {
     ".csv": "CSV",
@@ -97,11 +97,15 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
     OpenDRIVE: road, lane, to; CommonRoad and Lanelet2: lanelet, to; OSM: way, to. `to` names the road, lanelet or way
     to which the shortest route leads, along lanes that are connected; the one where it begins: once round.
 
+    The points of a CSV file without keys are exact: the course leads through them (`course_of`).
+
     tightest [m]: least radius of the car. closed: as the address's, which goes before. Raises ValueError, with the
     choices, for a file with more than one road or track of which none is chosen; with the reason, for what cannot be
     driven: gaps, kinks, bends below `tightest`, lanes that are not connected; and for damaged files.
     """
     where = Address.parsed(address)
+    if not is_road(address):
+        return _exact(where.file, closed)
     found = contents(where.file)
     line, closed_route, remarks = chosen(found, where, closed)
     source = found.source(where.choice)
@@ -124,6 +128,20 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
         origin_deg=source.origin_deg,
         hint="; recorded too coarsely for its bends? record more often, or drive them slower" if recorded else "",
     )
+
+
+def _exact(file: str, closed: bool | None) -> Course:
+    """The course through the points of a CSV file."""
+    try:
+        text = read_text(file, "course", latin=True)
+    except OSError as error:
+        raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
+    path = course_of(text, FilePath(file).name, closed=closed)
+    columns = read_columns(text, file)
+    s = travelled(placed(columns, file)[0])
+    v, limit = (along(path, s * (path.length / s[-1]), columns.get(name)) for name in ("v", "v_limit"))
+    note = f"read {FilePath(file).name}: the course leads through its {len(s)} points; FILE#noise=... [m] smooths them"
+    return Course(path=path, v=v, v_limit=limit, notes=(note,))
 
 
 def chosen(found: Map, where: Address, closed: bool | None = None) -> tuple[Line, bool, list[str]]:
@@ -202,8 +220,11 @@ class Address:
         return clean.replace("--", "-_")  # two hyphens part the names of scenarios
 
 
+def is_file(name: str) -> bool:
+    """Does a course's name mean a file?"""
+    return FilePath(name.partition("#")[0]).suffix.lower() in KINDS
+
+
 def is_road(name: str) -> bool:
     """Does a course's name mean a file other than a plain CSV, or something in a file?"""
-    file, sign, _ = name.partition("#")
-    ending = FilePath(file).suffix.lower()
-    return ending in KINDS and (bool(sign) or ending != ".csv")
+    return is_file(name) and not name.lower().endswith(".csv")

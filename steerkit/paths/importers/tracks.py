@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterable, Iterator
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit._support.files import opened, read_text
+from steerkit._support.tables import seconds_of
 from steerkit.paths.importers.course import Line, distinct
 from steerkit.paths.importers.xml_stream import number, records, value
 from steerkit.paths.waypoints import (
@@ -97,11 +97,10 @@ def gpx(file: str) -> list[Track]:
 
 
 def _seconds(text: str) -> float:
-    try:
-        when = datetime.fromisoformat(text.strip())
-    except ValueError:
-        raise ValueError(f"time is {text.strip()[:40]!r}, expected 2026-11-22T15:00:00Z") from None
-    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+    found = seconds_of(text)
+    if found is None:
+        raise ValueError(f"time is {text.strip()[:40]!r}, expected 2026-11-22T15:00:00Z")
+    return found
 
 
 def geojson(file: str) -> list[Track]:
@@ -181,7 +180,7 @@ def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Tra
 def csv(file: str) -> list[Track]:
     """The points of a CSV file with columns x, y [m] or lat, lon [degrees], and t [s], v [m/s] where there are any."""
     try:
-        text = read_text(file, "course")
+        text = read_text(file, "course", latin=True)
     except OSError as error:
         raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
     columns = read_columns(text, file)
@@ -221,7 +220,7 @@ def cleaned(xy: Array, t: Array, v: Array, noise: float, where: str) -> tuple[Li
     many is left. Raises ValueError for gaps, for times that do not rise and for jumps that no car makes.
     """
     if not np.isfinite(t).all():
-        return distinct(Line(xy=xy), where), []
+        return distinct(Line(xy=xy, v=v if np.isfinite(v).all() else None), where), []
     steps = np.diff(t)
     back = np.flatnonzero(steps < 0.0)
     require(not back.size, where, f"time runs back after point {back[0] if back.size else 0}: two drives in one track?")

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit._support.quantities import ended_unit, words
 from steerkit.logs import Channel, Column, ColumnMap
-from steerkit.logs.channels import candidates, ended_unit, is_time, unit_of, words
+from steerkit.logs.channels import candidates, is_time, unit_of
 
 
 def channel(name: str, unit: str = "", means: str = "", rate: float = 100.0) -> Channel:

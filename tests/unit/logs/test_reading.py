@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.io import savemat
 
@@ -80,11 +81,13 @@ def test_a_recording_of_the_real_cars_server(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("a.xls", b"x", "a recording ends in one of, is the folder of a ROS 2 bag, or is called, .mcap"),
+        ("a.xlsx", b"x", r"a\.xlsx: an Excel workbook; save its sheet as CSV \(UTF-8\)"),
+        ("a.csv", b"PK\x03\x04", "is an Excel workbook or another ZIP archive; save its sheet as CSV"),
+        ("a.odt", b"x", "a recording ends in one of, is the folder of a ROS 2 bag, or is called, .mcap"),
         ("a.csv", b"", "the file is empty"),
         ("a.csv", b"t,v\n", "no rows under a row of names"),
         ("a.csv", b"# only\n", r"a\.csv: no rows under a row of names"),
-        ("a.csv", b"1,2\n3,4\n", "the first row holds numbers"),
+        ("a.csv", b"1,2\n3,4\n", r"line 1 holds numbers \(1,2\), no names; put a row of 2 names above"),
         ("a.csv", b"t,v,yaw\n1,2,3\n2,3,4\n", r"which column is delta_sw, r or psi\? Columns: v, yaw"),
         ("a.mat", b"MATLAB 5.0 or so", "no MATLAB file, or cut off"),
         ("a.npz", b"PK broken", "a.npz"),
@@ -245,3 +248,33 @@ def test_what_has_nothing_to_do_with_it_is_said_so_and_too_little_teaches() -> N
     assert agreement(t, motion(t), t, np.zeros(len(t))).scale == 0.0
     with pytest.raises(ValueError, match=r"0\.0 s in common, expected 5 or more"):
         agreement(t, motion(t), t + 100.0, motion(t))
+
+
+def test_tables_as_others_write_them_are_one_log(tmp_path: Path) -> None:
+    """Decimal commas, UTF-16, names in a comment, times of the clock, signals on rows of their own."""
+    t = np.arange(0.0, 30.0, 0.01)
+    columns = {
+        "time [s]": t,
+        "Steering Angle (deg)": 20.0 * np.sin(t),
+        "speed (km/h)": 36.0 + 0.0 * t,
+        "yaw_rate_degs": 5.0 * np.sin(t),
+    }
+    frame = pd.DataFrame(columns)
+    frame.to_csv(tmp_path / "german.csv", sep=";", decimal=",", index=False)
+    frame.to_csv(tmp_path / "wide.csv", sep="\t", encoding="utf-16", index=False)
+    frame.assign(**{"time [s]": pd.Timestamp("2026-11-26T10:00Z") + pd.to_timedelta(t, unit="s")}).rename(
+        columns={"time [s]": "time"}
+    ).to_csv(tmp_path / "iso.csv", index=False)
+    np.savetxt(tmp_path / "numpy.csv", frame.to_numpy(), delimiter=",", header=",".join(columns), fmt="%.15g")
+    slow = frame.iloc[::5, [0, 2]].assign(**{"time [s]": t[::5] + 0.003})
+    rows = pd.concat([frame.drop(columns="speed (km/h)"), slow]).sort_values("time [s]")
+    rows.to_csv(tmp_path / "own_rows.csv", index=False)
+    frame.to_csv(tmp_path / "plain.csv", index=False)
+    plain = read_drive(tmp_path / "plain.csv")
+    assert plain.v.mean() == pytest.approx(10.0)
+    for name in ("german", "wide", "iso", "numpy", "own_rows"):
+        drive = read_drive(tmp_path / f"{name}.csv", dt=plain.dt)
+        n = min(len(drive.v), len(plain.v)) - 2
+        assert n > 500, name
+        assert drive.v[:n] == pytest.approx(plain.v[:n], abs=1e-6), name
+        assert abs(np.max(drive.delta_sw) - np.max(plain.delta_sw)) < 1e-3, name

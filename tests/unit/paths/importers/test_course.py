@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.paths.courses import course, course_of
-from steerkit.paths.importers import Line, read_course
+from steerkit.paths.courses import course
+from steerkit.paths.importers import Line, course_of, read_course
 from steerkit.paths.importers.course import laid, smoothed
 
 BENT = np.array([(0.0, 0.0), (40.0, 0.0), (60.0, 20.0), (60.0, 60.0)])
