@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from array import array
 from collections import Counter
@@ -37,20 +36,25 @@ _WIDEST = 20.0
 def commonroad(file: str) -> Map:
     """The lanelets of a CommonRoad scenario: each one's centre between its bounds, point by point.
 
-    Speed limits are those of the signs that lanelets refer to (type 274, or maxspeed). Source: CommonRoad XML format
-    2018b and 2020a. Raises ValueError for bounds that do not belong together.
+    Speed limits are those of the signs that lanelets refer to (type 274, or maxspeed). A lanelet whose bounds do not
+    belong together is left out. Source: CommonRoad XML format 2018b and 2020a. Raises ValueError for a file without a
+    good one.
     """
     pieces: dict[str, Piece] = {}
     signs: dict[str, float] = {}
+    faulty: dict[str, str] = {}
     for record in records(file, ("lanelet", "trafficSign")):
         if record.tag == "trafficSign":
             signs |= _limit_of_sign(record)
             continue
+        if not len(record) and record.get("ref"):
+            continue  # where a goal lies
         name = get(record, "id")
-        where = f"lanelet {name}"
-        left, right = (_points(record.find(side), where, side) for side in ("leftBound", "rightBound"))
-        require(len(left) == len(right), where, f"{len(left)} points left and {len(right)} right, expected as many")
-        line = _between(left, right, where)
+        try:
+            line = _centre(record)
+        except ValueError as error:
+            faulty[name] = str(error)
+            continue
         limits = [value(speed) for speed in record.findall("speedLimit") if not len(speed)]
         require(name not in pieces, file, f"two lanelets of the name {name}")
         kind = ((node.text or "").strip() for tag in ("type", "laneletType") for node in record.findall(tag))
@@ -62,15 +66,34 @@ def commonroad(file: str) -> Map:
             line=partial(_limited, line, limits[:1], signs, refs),
             about=" ".join(kind),
         )
-    require(pieces, file, "holds no lanelets")
-    return Map(kind="lanelet", pieces=pieces, noise=0.05, drawn=True)
+    _some(pieces, faulty, file, "lanelets")
+    return Map(kind="lanelet", pieces=pieces, noise=0.05, drawn=True, faulty=faulty)
 
 
-def _points(bound: Element | None, where: str, side: str) -> Array:
+def _some(pieces: Mapping[str, Piece], faulty: Mapping[str, str], file: str, what: str) -> None:
+    """ValueError where a map holds nothing, or nothing that is not faulty."""
+    first = next((f": {name}: {why}" for name, why in faulty.items()), "")
+    require(pieces, file, f"holds no {what}" if not faulty else f"all of its {what} are faulty{first}")
+
+
+def _centre(lanelet: Element) -> Array:
+    left, right = (_points(lanelet.find(side), side) for side in ("leftBound", "rightBound"))
+    if len(left) != len(right):
+        raise ValueError(f"{len(left)} points left and {len(right)} right, expected as many")
+    middle = _between(left, right)
+    along, across = np.diff(middle, axis=0), (left - right)[:-1]
+    if float(np.median(along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0])) < 0.0:
+        raise ValueError("its left bound is on the right")
+    return middle
+
+
+def _points(bound: Element | None, side: str) -> Array:
     points = [] if bound is None else bound.findall("point")
-    require(len(points) >= 2, where, f"{side} of {len(points)} points, expected 2 or more")
+    if len(points) < 2:
+        raise ValueError(f"{side} of {len(points)} points, expected 2 or more")
     rows = [[value(at) for at in (*point.findall("x")[:1], *point.findall("y")[:1])] for point in points]
-    require(all(len(row) == 2 for row in rows), where, f"{side} has a point without x or y")
+    if not all(len(row) == 2 for row in rows):
+        raise ValueError(f"{side} has a point without x or y")
     return np.array(rows)
 
 
@@ -88,25 +111,23 @@ def _limited(xy: Array, limits: list[float], signs: Mapping[str, float] = {}, re
     return Line(xy=xy, v_limit=np.full(len(xy), min(limits)) if limits else None)
 
 
-def _matched(left: Array, right: Array, where: str) -> tuple[Array, Array]:
+def _matched(left: Array, right: Array) -> tuple[Array, Array]:
     """Two bounds at equal shares of their lengths."""
     lengths = [travelled(bound) for bound in (left, right)]
-    require(min(s[-1] for s in lengths) > 0.0, where, "a bound without length")
+    if min(s[-1] for s in lengths) <= 0.0:
+        raise ValueError("a bound without length")
     shares = [s / s[-1] for s in lengths]
     at = np.unique(np.concatenate(shares))
     left, right = (np.column_stack([np.interp(at, s, c) for c in bound.T]) for s, bound in zip(shares, (left, right)))
     return left, right
 
 
-def _between(left: Array, right: Array, where: str) -> Array:
+def _between(left: Array, right: Array) -> Array:
     """The line in the middle of two bounds' points in pairs."""
     wide = np.hypot(*(left - right).T)
-    require(wide.max() <= _WIDEST, where, f"its bounds are {wide.max():.3g} m apart, expected at most {_WIDEST:g}")
-    middle = 0.5 * (left + right)
-    along, across = np.diff(middle, axis=0), (left - right)[:-1]
-    sides = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
-    require(float(np.median(sides)) >= 0.0, where, "its left bound is on the right")
-    return np.asarray(middle)
+    if wide.max() > _WIDEST:
+        raise ValueError(f"its bounds are {wide.max():.3g} m apart, expected at most {_WIDEST:g}")
+    return np.asarray(0.5 * (left + right))
 
 
 def _length(xy: Array) -> float:
@@ -174,26 +195,29 @@ def osm(file: str) -> Map:
     A lanelet's centre is the middle of its bounds at equal shares of their lengths; lanelets follow each other where
     both bounds do. Ways are cut where they meet, and driven both ways unless `oneway` says otherwise. Positions
     become metres about the first node (ENU), or are Lanelet2's own local_x, local_y.
-    Raises ValueError for what is missing in it.
+    What lacks something is left out. Raises ValueError for a file without anything good.
     Source: OSM XML 0.6; Poggenhans et al. 2018.
     """
     data = _Osm(file)
-    pieces = _lanelets(data) if data.lanelets else _ways(data)
-    require(pieces, file, "holds neither lanelets nor ways for cars (tag highway)")
+    faulty: dict[str, str] = {}
+    pieces = _lanelets(data, faulty) if data.lanelets else _ways(data, faulty)
     kind, noise = ("lanelet", 0.1) if data.lanelets else ("way", 1.0)
-    return Map(kind=kind, pieces=pieces, noise=noise, drawn=True, origin_deg=data.origin)
+    _some(pieces, faulty, file, "lanelets to drive on" if data.lanelets else "lanelets or ways for cars (tag highway)")
+    return Map(kind=kind, pieces=pieces, noise=noise, drawn=True, origin_deg=data.origin, faulty=faulty)
 
 
-def _lanelets(data: _Osm) -> dict[str, Piece]:
+def _lanelets(data: _Osm, faulty: dict[str, str]) -> dict[str, Piece]:
     begins: dict[tuple[int, int], list[str]] = {}
     made: dict[str, tuple[Array, tuple[int, int], dict[str, str]]] = {}
     for name, (left_ways, right_ways, tags) in data.lanelets.items():
         if tags.get("subtype", "road") not in ("road", "highway", "play_street", "bus_lane", "road_shoulder"):
             continue
-        where = f"lanelet {name}"
-        left, right = (_chained(ways, data, where) for ways in (left_ways, right_ways))
-        left, right = _aligned(left, right, data)
-        line = _between(*_matched(data.find(left), data.find(right), where), where)
+        try:
+            left, right = _aligned(*(_chained(ways, data) for ways in (left_ways, right_ways)), data)
+            line = _between(*_matched(data.find(left), data.find(right)))
+        except ValueError as error:
+            faulty[name] = str(error)
+            continue
         made[name] = line, (left[-1], right[-1]), tags
         begins.setdefault((left[0], right[0]), []).append(name)
     return {
@@ -208,35 +232,46 @@ def _lanelets(data: _Osm) -> dict[str, Piece]:
     }
 
 
-def _chained(names: list[str], data: _Osm, where: str) -> list[int]:
+def _chained(names: list[str], data: _Osm) -> list[int]:
     """The nodes of the ways that make a bound, one after the other whichever way each was drawn."""
-    require(names, where, "no left or no right bound")
+    if not names:
+        raise ValueError("no left or no right bound")
     for name in names:
-        require(name in data.ways, where, f"its bound, way {name}, is not in the file")
-        require(data.ways[name][0], where, f"its bound, way {name}, has no nodes")
+        if name not in data.ways or not len(data.ways[name][0]):
+            raise ValueError(f"its bound, way {name}, {'has no nodes' if name in data.ways else 'is not in the file'}")
     nodes, *parts = (data.ways[name][0].tolist() for name in names)
     while parts:
         k = next((k for k, p in enumerate(parts) if {p[0], p[-1]} & {nodes[0], nodes[-1]}), -1)
-        require(k >= 0, where, "the ways of its bound do not meet")
+        if k < 0:
+            raise ValueError("the ways of its bound do not meet")
         part = parts.pop(k)
         if nodes[-1] not in (part[0], part[-1]):
             nodes.reverse()
         nodes += (part if part[0] == nodes[-1] else part[::-1])[1:]
-    require(len(nodes) >= 2, where, "a bound of fewer than two nodes")
+    if len(nodes) < 2:
+        raise ValueError("a bound of fewer than two nodes")
     return nodes
 
 
 def _aligned(left: list[int], right: list[int], data: _Osm) -> tuple[list[int], list[int]]:
-    """The bounds in the direction of driving: the left one is on the left."""
+    """The bounds in the direction of driving: each has the other on its side, wherever along the road they begin."""
     a, b = data.find(left), data.find(right)
-    if math.dist(a[0], b[0]) + math.dist(a[-1], b[-1]) > math.dist(a[0], b[-1]) + math.dist(a[-1], b[0]):
-        right, b = right[::-1], b[::-1]
-    along, across = a[-1] + b[-1] - a[0] - b[0], a[0] - b[0]
-    backwards = along[0] * across[1] - along[1] * across[0] < 0.0
-    return (left[::-1], right[::-1]) if backwards else (left, right)
+    return (left if _beside(a, b) < 0.0 else left[::-1]), (right if _beside(b, a) > 0.0 else right[::-1])
 
 
-def _ways(data: _Osm) -> dict[str, Piece]:
+def _beside(line: Array, points: Array) -> float:
+    """How far points lie to the left of the line's nearest segment, in the mean [m]."""
+    step = np.diff(line, axis=0)
+    along = np.maximum((step**2).sum(axis=1), 1e-12)
+    away = points[:, None] - line[:-1]
+    share = np.clip((away * step).sum(axis=2) / along, 0.0, 1.0)
+    nearest = np.hypot(*np.moveaxis(away - share[..., None] * step, 2, 0)).argmin(axis=1)
+    k = np.arange(len(points))
+    cross = step[nearest, 0] * away[k, nearest, 1] - step[nearest, 1] * away[k, nearest, 0]
+    return float((cross / np.sqrt(along[nearest])).mean())
+
+
+def _ways(data: _Osm, faulty: dict[str, str]) -> dict[str, Piece]:
     """Ways cut where they meet, forwards and, but for one-way streets, backwards."""
     cars = {
         name: (nodes.tolist(), tags)
@@ -258,7 +293,12 @@ def _ways(data: _Osm) -> dict[str, Piece]:
             begins.setdefault(part[0], []).append(called)
     pieces = {}
     for called, (name, part, tags) in made.items():
-        xy, twin = data.find(part), called.removesuffix("-") if called.endswith("-") else f"{called}-"
+        try:
+            xy = data.find(part)
+        except ValueError as error:
+            faulty[name] = str(error)
+            continue
+        twin = called.removesuffix("-") if called.endswith("-") else f"{called}-"
         pieces[called] = Piece(
             group=name,
             length=_length(xy),

@@ -56,6 +56,17 @@ class Map:
     """Where x = y = 0 is [degrees], if it is known."""
     tracks: Mapping[str, Track] = field(default_factory=dict)
     """Of a file of tracks, by name: each has its own noise and origin."""
+    faulty: Mapping[str, str] = field(default_factory=dict)
+    """Roads, lanelets or ways that are left out, by name, and why."""
+
+    @property
+    def left_out(self) -> list[str]:
+        """What to say of that which is left out, in a line or none."""
+        if not self.faulty:
+            return []
+        some = [f"{name} ({why})" for name, why in itertools.islice(self.faulty.items(), 3)]
+        more = f" and {len(self.faulty) - 3} more" if len(self.faulty) > 3 else ""
+        return [f"{len(self.faulty)} faulty {self.kind}s are left out: {'; '.join(some)}{more}"]
 
     def source(self, choice: Mapping[str, str]) -> Map | Track:
         """What says noise, origin and whether it was drawn: the track that is chosen, or all of a map."""
@@ -107,6 +118,8 @@ class Map:
         return line, closed, [f"{summary}, lane {lane} at its beginning" if lane else summary, *notes]
 
     def _group(self, group: str, where: str) -> list[str]:
+        why = self.faulty.get(group)
+        require(not why, where, f"{self.kind} {group} is faulty: {why}; there is {self.listed()}")
         require(group in self.groups, where, f"there is no {self.kind} {group}; there is {self.listed()}")
         return self.groups[group]
 

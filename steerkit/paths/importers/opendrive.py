@@ -151,8 +151,10 @@ def opendrive(file: str) -> Map:
     shape, geoReference. Raises ValueError for a map that is damaged, torn or contradicts itself.
     Source: ASAM OpenDRIVE 1.4 to 1.8.
     """
-    roads, junctions, remarks = read(file)
-    require(roads, file, "holds no roads with lanes")
+    roads, junctions, remarks, faulty = read(file)
+    require(roads, file, f"holds no roads with lanes{': '.join(['', *list(faulty.values())[:1]])}")
+    for road in roads.values():
+        remarks += _linked(road)
     pieces = {
         road.called(k, lane.number): Piece(
             group=road.name,
@@ -168,26 +170,46 @@ def opendrive(file: str) -> Map:
         if lane.number != 0 and _DRIVABLE.fullmatch(lane.kind)
     }
     require(pieces, file, "holds no lanes to drive on")
-    return Map(kind="road", pieces=pieces, noise=0.02, drawn=False, notes=tuple(remarks))
+    return Map(kind="road", pieces=pieces, noise=0.02, drawn=False, notes=tuple(remarks), faulty=faulty)
+
+
+def _linked(road: Road) -> list[str]:
+    """Links lanes that go on under their number in the road's next section where the file says nothing of it."""
+    notes = []
+    for before, after in pairwise(road.sections):
+        for number_, lane in before.lanes.items():
+            on = after.lanes.get(number_)
+            drivable = number_ and on and _DRIVABLE.fullmatch(lane.kind) and _DRIVABLE.fullmatch(on.kind)
+            if on and drivable and not lane.links["successor"] and not on.links["predecessor"]:
+                lane.links["successor"], on.links["predecessor"] = [number_], [number_]
+                notes.append(
+                    f"road {road.name}, lane {number_}: no link at s = {after.s:.1f} m; it is taken as going on"
+                )
+    return notes
 
 
 Links = dict[tuple[str, str, int], list[tuple[str, str, int]]]
 """Of junctions: (junction, incoming road, its lane) -> (connecting road, start or end of it, its lane)."""
 
 
-def read(file: str) -> tuple[dict[str, Road], Links, list[str]]:
-    """Roads by name, the links of junctions, and what the reader notes about them."""
+def read(file: str) -> tuple[dict[str, Road], Links, list[str], dict[str, str]]:
+    """Roads by name, the links of junctions, what the reader notes about them, and the roads that are faulty."""
     roads: dict[str, Road] = {}
+    faulty: dict[str, str] = {}
     junctions: Links = {}
     told = Counter[str]()
     for record in records(file, ("road", "junction", "geoReference")):
         if record.tag == "geoReference":
             told["geoReference"] = 1
         elif record.tag == "road":
-            road = _road(record)
-            require(road.name not in roads, file, f"two roads of the name {road.name}")
-            roads[road.name] = road
-            told.update(road.notes)
+            name = get(record, "id")
+            require(name not in roads, file, f"two roads of the name {name}")
+            try:
+                roads[name] = _road(record)
+            except ValueError as error:
+                faulty[name] = str(error).removeprefix(f"road {name}: ")
+                continue
+            told.update(roads[name].notes)
         else:
             for connection in record.findall("connection"):
                 _connect(get(record, "id"), connection, junctions)
@@ -195,6 +217,7 @@ def read(file: str) -> tuple[dict[str, Road], Links, list[str]]:
         roads,
         junctions,
         [f"{what}{f' (in {count} roads)' if count > 1 else ''}: read but not used" for what, count in told.items()],
+        faulty,
     )
 
 

@@ -113,7 +113,7 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
         digest = hashlib.file_digest(stream, "sha256").hexdigest()[:16]
     file = FilePath(where.file)
     notes = [f"read {file.name} ({KINDS[file.suffix.lower()]}), sha256 {digest}: {remarks[0]}", *remarks[1:]]
-    notes += found.notes
+    notes += [*found.notes, *found.left_out]
     if where.noise is None:
         notes.append(f"noise = {source.noise:g} m is assumed; FILE#noise=... says otherwise")
     recorded = source is not found and not source.drawn

@@ -139,16 +139,16 @@ def test_a_way_is_driven_as_its_tags_say(tmp_path: FilePath) -> None:
 @pytest.mark.parametrize("ways", ["12 23 37", "21 23 73", "23 12 37", "23 73 21", "73 21 32"])
 def test_the_ways_of_a_bound_are_put_in_line(ways: str) -> None:
     data: Any = SimpleNamespace(ways={name: (np.array([*map(int, name)]), {}) for name in (*ways.split(), "45")})
-    assert _chained(ways.split(), data, "a") in ([1, 2, 3, 7], [7, 3, 2, 1])
+    assert _chained(ways.split(), data) in ([1, 2, 3, 7], [7, 3, 2, 1])
     with pytest.raises(ValueError, match="the ways of its bound do not meet"):
-        _chained([*ways.split(), "45"], data, "a")
+        _chained([*ways.split(), "45"], data)
 
 
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
         ((way(11, 1, 99, highway="road"),), "node 99 is not in the file"),
-        ((way(11, 1, 2, highway="footway"),), "holds neither lanelets nor ways for cars"),
+        ((way(11, 1, 2, highway="footway"),), "holds no lanelets or ways for cars"),
         ((relation(21, 11, 12),), "its bound, way 11, is not in the file"),
         ((way(11, 1, 2), way(12, 4, 5), relation(21, 11, 99)), "its bound, way 99, is not in the file"),
         ((way(11, 1, 2), way(12), way(13, 4, 5), relation(21, 11, 12)), "its bound, way 12, has no nodes"),
@@ -159,6 +159,35 @@ def test_the_ways_of_a_bound_are_put_in_line(ways: str) -> None:
 def test_maps_that_lack_something_are_refused(parts: tuple[str, ...], message: str, tmp_path: FilePath) -> None:
     with pytest.raises(ValueError, match=message):
         contents(str(osm_file(tmp_path / "a.osm", *parts)))
+
+
+def test_one_faulty_lanelet_leaves_the_others(tmp_path: FilePath) -> None:
+    goal = '<planningProblem id="7"><goalState><position><lanelet ref="3"/></position></goalState></planningProblem>'
+    crossed = f'<lanelet id="9">{bound("left", 0, 0, 9)}{bound("right", 3, 0, 9)}</lanelet>'
+    file = scenario(tmp_path / "a.xml", lanelet(1, 0, 40, after=3), crossed, lanelet(3, 40, 90), goal)
+    made = read_course(f"{file}#lanelet=1,to=3")
+    assert made.path.length == pytest.approx(90.0, abs=1e-6)
+    assert any("1 faulty lanelets are left out: 9 (its left bound is on the right)" in note for note in made.notes)
+    with pytest.raises(ValueError, match="lanelet 9 is faulty: its left bound is on the right; there is lanelet 1"):
+        read_course(f"{file}#lanelet=9")
+    ways = way(11, 1, 2, highway="road"), way(12, 2, 99, highway="road")
+    assert osm(str(osm_file(tmp_path / "a.osm", *ways))).faulty == {"12": "node 99 is not in the file: cut out?"}
+
+
+@pytest.mark.parametrize("flipped", [(0, 0), (1, 0), (0, 1), (1, 1)])
+def test_bounds_may_begin_far_apart_and_run_either_way(flipped: tuple[int, int], tmp_path: FilePath) -> None:
+    """As in Autoware's maps: a short lanelet whose left bound and right bound begin 12 m apart along the road."""
+    left, right = (1, 2), (5, 6)  # x from 0 to 30 at y = 2, 30 to 60 at y = -2
+    ways = way(11, *left[:: -1 if flipped[0] else 1]), way(12, *right[:: -1 if flipped[1] else 1])
+    moved = {**NODES, 5: (12, -2), 6: (42, -2)}
+    places = np.array([*moved.values()], dtype=float)
+    lat, lon = road_files.positions(places)
+    rows = "".join(f'<node id="{k}" lat="{a!r}" lon="{b!r}"/>' for k, a, b in zip(moved, lat.tolist(), lon.tolist()))
+    (tmp_path / "a.osm").write_text(f'<osm version="0.6">{rows}{"".join(ways)}{relation(21, 11, 12)}</osm>')
+    line = osm(str(tmp_path / "a.osm")).pieces["21"].line().xy
+    assert np.diff(line[:, 0]).min() > 0.0
+    assert line[:, 0] == pytest.approx(np.linspace(6.0, 36.0, len(line)), abs=0.1)
+    assert np.ptp(line[:, 1]) < 1e-3
 
 
 def test_an_xml_file_is_known_by_its_first_element(tmp_path: FilePath) -> None:

@@ -40,7 +40,7 @@ def centre(file: FilePath, road: str, number: int) -> Line:
 def test_roads_of_the_formats_writer_join_up(name: str, tmp_path: FilePath) -> None:
     """The writer has reckoned where each piece begins: ours end there."""
     file = road_files.opendrive(road_files.ROADS[name](), tmp_path / "road.xodr")
-    roads, _, _ = read(str(file))
+    roads, *_ = read(str(file))
     shapes = roads["1"].shapes
     assert len(shapes) == len(road_files.ROADS[name]())
     for before, after in pairwise(shapes):
@@ -174,6 +174,29 @@ def test_what_contradicts_itself_is_refused(geometry: str, length: float, messag
         contents(str(road_files.by_hand(tmp_path / "a.xodr", geometry, length=length)))
 
 
+def test_a_faulty_road_leaves_the_others_and_lanes_without_links_go_on(tmp_path: FilePath) -> None:
+    whole = "".join(section(s, right=lane(-1)) for s in (0.0, 50.0, 100.0))
+    file = road_files.by_hand(
+        tmp_path / "a.xodr", STRAIGHT.replace('length="100"', 'length="150"'), length=150.0, lanes=whole
+    )
+    made = read_course(f"{file}#road=1,lane=-1")
+    assert made.path.length == pytest.approx(150.0, abs=1e-3)
+    told = [note for note in made.notes if "no link at s" in note]
+    assert told == [f"road 1, lane -1: no link at s = {s:.1f} m; it is taken as going on" for s in (50.0, 100.0)]
+    text = file.read_text()
+    torn = (
+        text[text.index("<road ") : text.index("</road>") + 7]
+        .replace('id="1"', 'id="2"', 1)
+        .replace("<line/>", "<curve/>")
+    )
+    file.write_text(text.replace("</OpenDRIVE>", f"{torn}</OpenDRIVE>"))
+    made = read_course(f"{file}#road=1,lane=-1")
+    assert made.path.length == pytest.approx(150.0, abs=1e-3)
+    assert any(note.startswith("1 faulty roads are left out: 2 (") for note in made.notes)
+    with pytest.raises(ValueError, match=r"road 2 is faulty: .* holds curve; known: line, arc"):
+        read_course(f"{file}#road=2,lane=-1")
+
+
 def test_lanes_that_cannot_be_driven_are_no_choice(tmp_path: FilePath) -> None:
     lanes = section(0.0, right=lane(-1) + lane(-2, kind="sidewalk"))
     file = road_files.by_hand(tmp_path / "a.xodr", STRAIGHT, length=100.0, lanes=lanes)
@@ -238,7 +261,7 @@ def test_two_cubics_of_a_parameter_in_both_ranges(tmp_path: FilePath) -> None:
         }
         written = " ".join(f'{key}="{number!r}"' for key, number in numbers.items())
         piece = STRAIGHT.replace("<line/>", f'<paramPoly3 {written} pRange="{name}"/>').replace('"100"', '"40"')
-        roads, _, _ = read(str(road_files.by_hand(tmp_path / "a.xodr", piece, length=length)))
+        roads, *_ = read(str(road_files.by_hand(tmp_path / "a.xodr", piece, length=length)))
         by_range.append(roads["1"].reference(d))
     for one, other in zip(*by_range):
         assert np.abs(one - other).max() < EXACT
