@@ -35,7 +35,7 @@ class {name}(Fmi2Slave):
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
-        self.k, self.slots, self.fixed = 0, list(START), list(FIXED.values())
+        self.k, self.begun, self.slots, self.fixed = 0, None, list(START), list(FIXED.values())
         for i, name in enumerate(FIXED):
             self.register_variable(Real(
                 name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable,
@@ -55,21 +55,23 @@ class {name}(Fmi2Slave):
         self.look()
 
     def do_step(self, current_time, step_size):
-        ticks = round(step_size / STEP)
-        if ticks < 1 or abs(ticks * STEP - step_size) > 1e-9 * step_size:
-            return False
-        values = run(self.k, self.k + ticks, self.slots, self.fixed, [])
-        for slot, value in zip(CARRIED, values):
-            self.slots[slot] = value
-        self.k += ticks
-        self.look()
+        if self.begun is None:
+            self.begun = current_time
+        until = int((current_time + step_size - self.begun) / STEP + 1e-6)
+        if until > self.k:
+            values = run(self.k, until, self.slots, self.fixed, [])
+            for slot, value in zip(CARRIED, values):
+                self.slots[slot] = value
+            self.k = until
+            self.look()
         return True
 
     def _get_fmu_state(self):
-        return {{"k": self.k, "slots": list(self.slots), "fixed": list(self.fixed)}}
+        return {{"k": self.k, "begun": self.begun, "slots": list(self.slots), "fixed": list(self.fixed)}}
 
     def _set_fmu_state(self, state):
-        self.k, self.slots, self.fixed = state["k"], list(state["slots"]), list(state["fixed"])
+        self.k, self.begun = state["k"], state["begun"]
+        self.slots, self.fixed = list(state["slots"]), list(state["fixed"])
         self.look()
 '''
 
@@ -79,8 +81,8 @@ def export_fmu(
 ) -> Path:
     """Write a loop as an FMU whose outputs are these signals; returns its path.
 
-    parameters: block fields such as `controller.k` that become tunable parameters, under their names. A communication
-    step has to be a whole multiple of loop.dt; another one is refused by the FMU. It can be saved and restored
+    parameters: block fields such as `controller.k` that become tunable parameters, under their names. The master
+    may step as it likes: the loop takes its own samples, each loop.dt, and outputs hold their values between them. It can be saved and restored
     (FMU state), and gives the numbers of `simulate`.
 
     Raises TraceError for a loop that cannot be compiled, KeyError for an unknown signal, ValueError for a vector signal
