@@ -82,7 +82,8 @@ def export_fmu(
     """Write a loop as an FMU whose outputs are these signals; returns its path.
 
     parameters: block fields such as `controller.k` that become tunable parameters, under their names. The master
-    may step as it likes: the loop takes its own samples, each loop.dt, and outputs hold their values between them. It can be saved and restored
+    may step as it likes: the loop takes its own samples, each loop.dt, and outputs hold their values between them. It
+    can be saved and restored
     (FMU state), and gives the numbers of `simulate`.
 
     Raises TraceError for a loop that cannot be compiled, KeyError for an unknown signal, ValueError for a vector signal
