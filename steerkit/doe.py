@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 from steerkit._support.errors import number
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.block import Block, In, Out, State, set_ports
+from steerkit.diagram.wrapper import Wrapper
 from steerkit.task import STOP
 
 
@@ -134,3 +135,53 @@ class Corrected(Block):
     def output(self, t: Any, x: Any, u: Any) -> Any:
         held = HeldAngle(m.clip(u.applied, -self.element.limit, self.element.limit))
         return self.Y(*self.element.output(t, held, self.element.D(u.action)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WithElement(Wrapper):
+    """A policy and its dynamic output element as one controller that steers by itself.
+
+        action = policy(inputs, doe = delta_sw(t - dt)),   delta_sw(t) = element(action, delta_sw(t - dt))
+
+    Inputs: those of the policy but `doe`; delta_sw_meas [rad], the measured angle, from which it sets out. Output:
+    delta_sw [rad]. State: the policy's and the angle of the sample before. Nobody else may steer in between: a loop
+    with a recovery controller wants policy and element apart (`steering_loop`). A NaN passes through.
+    Raises ValueError for a policy without the output action.
+    """
+
+    changes = ("action",)
+    delta_sw_meas = In("rad")
+    delta_sw = Out("rad")
+
+    element: OutputElement = Integrator()
+    """What turns its actions into an angle; `block` is the policy."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        own = type(self)
+        inputs = [port for port in self.block.inputs if port.name not in ("doe", "delta_sw_meas")]
+        set_ports(self, (*inputs, *own.inputs), own.outputs)
+
+    def init(self, batch: tuple[int, ...] = ()) -> State:
+        return (*self.block.init(batch), *self.element.init(batch))
+
+    def settle(self, t: float, x: State, u: Any) -> State:
+        begin = self.element.init()._replace(delta_sw=m.clip(u.delta_sw_meas, -self.element.limit, self.element.limit))
+        return (*self.block.settle(t, self.inner(x), self._shown(self.block.D, u, begin)), *begin)
+
+    def _shown(self, kind: Any, u: Any, held: HeldAngle) -> Any:
+        """What the policy sees of the inputs."""
+        return kind(**{name: held.delta_sw if name == "doe" else getattr(u, name) for name in kind._fields})
+
+    def _answer(self, t: Any, x: State, u: Any) -> Any:
+        return self.block.output(t, self.inner(x), self._shown(self.block.D, u, HeldAngle(*self.own(x))))
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        made = self.element.output(t, HeldAngle(*self.own(x)), self.element.D(self._answer(t, x, u).action))
+        return self.Y(made.delta_sw)
+
+    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
+        held, answer = HeldAngle(*self.own(x)), self._answer(t, x, u)
+        inner = self.block.update(t, self.inner(x), self._shown(self.block.U, u, held), answer)
+        applied = self.element.U(action=answer.action, applied=y.delta_sw)
+        return (*inner, *self.element.update(t, held, applied, y))

@@ -23,7 +23,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.diagnostics import in_one_line
 from steerkit.diagram.units import radians_of
-from steerkit.doe import Integrator, LowPass, OutputElement, PlainAngle
+from steerkit.doe import Integrator, LowPass, OutputElement, PlainAngle, WithElement
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.paths.path import Path
@@ -323,8 +323,8 @@ def make_controller(name: str, design_model: DesignModel) -> Block:
     """The controller of that name, made for what is believed of car, course and steering.
 
     name: one of `CONTROLLERS`; or `my_file.py:make`, `package.module:make`, where make(belief) returns a block of your
-    own that steers by itself. Raises ValueError for an unknown name, with the valid ones, and for a `make` that fails
-    or returns something else.
+    own that steers by itself, or a policy and its output element, such as (PolicyBlock(...), Integrator()). Raises
+    ValueError for an unknown name, with the valid ones, and for a `make` that fails or returns something else.
     """
     if is_outside(name):
         return _own(name, design_model)
@@ -347,7 +347,9 @@ def _own(name: str, design_model: DesignModel) -> Block:
         block = make(design_model)
     except Exception as error:
         raise ValueError(f"{where} failed: {in_one_line(error)}") from error
-    expected = "expected a Block with an output delta_sw [rad]"
+    expected = "expected a Block with an output delta_sw [rad], or a policy and its element, such as Integrator()"
+    if isinstance(block, tuple) and len(block) == 2 and isinstance(block[1], OutputElement):
+        block = WithElement(block=block[0], element=block[1])
     require(isinstance(block, Block), where, f"returned {_called(block)}, {expected}")
     outputs = {port.name: port.unit for port in block.outputs}
     given = ", ".join(f"{port} [{unit}]" for port, unit in outputs.items()) or "none"

@@ -39,7 +39,7 @@ from steerkit.controllers.with_excitation import WithExcitation
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.wrapper import Wrapper
-from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle
+from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle, WithElement
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
@@ -173,6 +173,10 @@ EXAMPLES = [
     Example(NfqPolicy(nets=NETS, preview_points=PREVIEW, forecast=FAST), blind=("psi_e",)),
     Example(Exploring(block=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
     *map(Example, (TargetShift(), PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1)))),
+    Example(
+        WithElement(block=PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1)), element=LowPass()),
+        blind=("delta_sw_meas",),
+    ),
     Example(PolicyBlock(policy=Network(layers=(LAYERS[0], (LAYERS[1][0][:1], LAYERS[1][1][:1])), head="tanh"))),
     *map(Example, (Agent(), PathTracker(path=OVAL), PathTracker(path=OVAL, reference=1.2, preview_points=3))),
     *map(Example, (LinearSingleTrack(vehicle=PASSAT, v0=5.0), NonlinearSingleTrack(vehicle=PASSAT, v0=5.0))),
@@ -330,7 +334,7 @@ def documents(kind: type[Block]) -> str:
 ELSEWHERE = {"PredictiveSteering", "MPC", "NonlinearMPC", "RealCar", "FmuPlant", "OpenPolicy"}
 """Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is somebody's file,
 an open policy is run on symbols only."""
-STARTS = {"VehicleState"}
+STARTS = {"VehicleState", "WithElement-PolicyBlock"}
 """Blocks with direct inputs that only say where to start from: no output sees them."""
 
 

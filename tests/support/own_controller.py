@@ -35,6 +35,21 @@ def element(belief):
     from steerkit import PathTracker
     return PathTracker(path=belief.path)
 
+def agent(belief):
+    from steerkit.controllers.network_policy import PolicyBlock
+    from steerkit.doe import Integrator
+    return PolicyBlock(policy=lenient, actions=(-0.15, 0.0, 0.15)), Integrator(limit=belief.vehicle.delta_sw_max)
+
+def lenient(x):
+    # of scaled states (n, 6): a step of the wheel towards where it should be
+    import numpy as np
+    e, e_dot, v, psi_e, r_e, doe = (x * HALF + MID).T
+    want = -15.6 * (psi_e + e / (1.0 + v)) - doe
+    return 1 + np.sign(want) * (np.abs(want) > 0.1)
+
+from steerkit.controllers.state_description import StateDescription
+MID, HALF = StateDescription().mid, StateDescription().half
+
 number = 3
 """
 

@@ -70,10 +70,11 @@ def test_a_suite_goes_elsewhere_where_it_has_no_course_or_car_of_its_own(tmp_pat
 
 def test_a_controller_of_ones_own_drives_a_suite_and_a_changed_file_is_not_mixed_in(tmp_path: Path) -> None:
     name = own_controller(tmp_path)
-    one = replace(suite("golden"), scenarios=suite("golden").scenarios[1:], controllers=("stanley", name))
+    agent = name.replace(":make", ":agent")  # a policy with its output element
+    one = replace(suite("golden"), scenarios=suite("golden").scenarios[1:], controllers=("stanley", name, agent))
     kept = run([replace(one, controllers=("stanley",))], tmp_path / "results", seeds=1, workers=1, quiet=True)
     results = run([one], tmp_path / "results", seeds=1, workers=1, only=["my_file"], quiet=True)
-    assert {case.controller: case.metrics["held"] for case in results.cases} == {"stanley": 1.0, name: 1.0}
+    assert {case.controller: case.metrics["held"] for case in results.cases} == {"stanley": 1.0, name: 1.0, agent: 1.0}
     assert kept.cases[0] in results.cases  # beside it, and not driven anew
     assert results.provenance["controllers"][name]["kind"] == "own"
     assert "SHA-256" in results.provenance["controllers"][name]["about"]

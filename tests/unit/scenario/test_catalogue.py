@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.entries import controller as entry
@@ -17,11 +18,14 @@ from steerkit.controllers.delay import DelayPredictor
 from steerkit.controllers.margins import Doubt, SteeredCar, least_damping
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
+from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
+from steerkit.doe import WithElement
 from steerkit.paths.courses import course
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.scenario import Scenario, catalogue
 from steerkit.scenario.catalogue import CONTROLLERS, DesignModel, make_controller, make_element, make_recovery
+from steerkit.scenario.drive import assembled
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import Rollout
 from tests.support.own_controller import own_controller
@@ -238,6 +242,20 @@ def test_what_is_no_controller_is_said_in_one_line(thing: str, message: str, tmp
         make_controller(name, BELIEF)
     assert "\n" not in str(refused.value)
     assert str(refused.value).startswith(f"controller '{name}'")
+
+
+def test_a_policy_with_its_element_steers_as_both_do_apart(tmp_path: Path) -> None:
+    """In one block or in two; and from the angle that the wheel has, wherever it sets out."""
+    scenario = Scenario.under("clean", course="genesis-rfs", steering={"lag": 0.15})
+    one: Any = make_controller(own_controller(tmp_path).replace(":make", ":agent"), scenario.design_model())
+    apart = assembled(scenario, one.block, doe=one.element)
+    logs = [simulate(loop, 20.0) for loop in (assembled(scenario, one), apart)]
+    assert (logs[0]["controller.delta_sw"] == logs[1]["doe.delta_sw"]).all()
+    assert np.ptp(logs[0]["path.e"]) > 1e-3
+    begun = one.settle(0.0, one.init(), one.D(*[0.3 if name == "delta_sw_meas" else 0.0 for name in one.D._fields]))
+    assert begun[-1] == 0.3
+    with pytest.raises(ValueError, match="WithElement: Mine with outputs delta_sw; expected among them action"):
+        WithElement(block=make_controller(own_controller(tmp_path), BELIEF))
 
 
 def test_a_car_refuses_what_its_file_does_not_allow(tmp_path: Path) -> None:
