@@ -213,7 +213,7 @@ def _lanelets(data: _Osm, faulty: dict[str, str]) -> dict[str, Piece]:
         if tags.get("subtype", "road") not in ("road", "highway", "play_street", "bus_lane", "road_shoulder"):
             continue
         try:
-            left, right = _aligned(*(_chained(ways, data) for ways in (left_ways, right_ways)), data)
+            left, right = _aligned(_chained(left_ways, data), _chained(right_ways, data), data)
             line = _between(*_matched(data.find(left), data.find(right)))
         except ValueError as error:
             faulty[name] = str(error)
