@@ -17,6 +17,7 @@ COMMANDS = {
     "courses": ("steerkit.cli.lists", "List the courses; or what a map's FILE holds, and make a course of it."),
     "vehicles": ("steerkit.cli.lists", "List the cars: those by name, and the fleet of production cars."),
     "drive": ("steerkit.cli.drive", "Drive with any controller: a course in simulation, or with --car FILE a car."),
+    "sweep": ("steerkit.cli.sweep", "Drive with hundreds of values of a controller's or a car's parameters at once."),
     "learn": ("steerkit.cli.learn", "Let a car learn to steer a course from nothing."),
     "show": ("steerkit.cli.learn", "Show a learning run: counts, episodes, learned against Stanley, and its pictures."),
     "demo": ("steerkit.cli.demo", "Learn on the 800 m course and on a real recorded lap; compare with Stanley."),

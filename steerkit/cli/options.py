@@ -29,7 +29,7 @@ class Conditions(StrEnum):
     real = "real"
 
 
-SIMULATED, ON_CAR = "In simulation (without --car)", "On a car (with --car)"
+SIMULATED, ON_CAR = "In simulation", "On a car (with --car)"
 SOCKET, TIME_SCALE = "Unix socket of the car server.", "How many times faster than real time; simulated cars only."
 CHANNEL = "slcan device or socket://, or INTERFACE:CHANNEL of python-can, instead of the file's bus."
 Seed = Annotated[int, typer.Option(help="Seed of driver and sensors, and of a learner's nets.")]
@@ -57,18 +57,13 @@ def on_car(text: str, *names: str) -> Any:
 
 
 @dataclass(frozen=True)
-class DriveOptions:
-    """The options of every command in which a car drives: which car, where, what disturbs it, what is printed.
+class SceneOptions:
+    """The options of every command in which a simulated car drives: which car, where, what disturbs it, what is
+    printed.
 
     A command gets them by one parameter of this type, under `drive_options`.
     """
 
-    car: Annotated[
-        str,
-        typer.Option(
-            help="TOML file of a car on a CAN bus, or a shipped one: dbw-kit.toml; read docs/real-car.md first."
-        ),
-    ] = ""
     seed: Seed = 0
     quiet: Quiet = False
     as_json: Machine = False
@@ -103,6 +98,18 @@ class DriveOptions:
     scenario_file: Annotated[
         Path | None, in_simulation("TOML file of a scenario; options given besides change it.", "--scenario")
     ] = None
+
+
+@dataclass(frozen=True)
+class DriveOptions(SceneOptions):
+    """Those, and what a session on a real car needs."""
+
+    car: Annotated[
+        str,
+        typer.Option(
+            help="TOML file of a car on a CAN bus, or a shipped one: dbw-kit.toml; read docs/real-car.md first."
+        ),
+    ] = ""
     recovery: Annotated[str, on_car("Recovery controller of a learner: stanley, stanley-delay, adaptive, or auto.")] = (
         "auto"
     )
@@ -115,18 +122,18 @@ class DriveOptions:
 
 
 def drive_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Put the fields of `DriveOptions` on the command line, where `command` has a parameter of that type.
+    """Put the fields of `SceneOptions`, or `DriveOptions`, on the command line, where `command` has such a parameter.
 
     typer reads a command's options off its signature, so the signature is written here: each field stands in it as a
     parameter of its own, in place of the one that gets them all.
     """
-    shared = inspect.signature(DriveOptions, eval_str=True).parameters
     own = inspect.signature(command, eval_str=True).parameters
-    (receiver,) = (p.name for p in own.values() if p.annotation is DriveOptions)
+    ((receiver, kind),) = ((p.name, p.annotation) for p in own.values() if p.annotation in (SceneOptions, DriveOptions))
+    shared = inspect.signature(kind, eval_str=True).parameters
 
     @functools.wraps(command)
     def wrapper(**values: Any) -> None:
-        options = DriveOptions(**{name: values.pop(name) for name in shared})
+        options = kind(**{name: values.pop(name) for name in shared})
         command(**values, **{receiver: options})
 
     parameters = [

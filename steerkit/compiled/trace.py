@@ -222,14 +222,14 @@ def with_parameters(loop: Loop, values: dict[str, Any]) -> Loop:
     """The loop with block fields replaced by numbers, `(N,)` arrays or symbols: `{"controller.k": 2.0}`.
 
     Names may go into nested dataclasses: `"car.vehicle.m"`. Raises TraceError for an unknown field, or one that its
-    block has already worked into other numbers when it was built.
+    block has already worked into other numbers when it was built; what the block raises for a number out of range.
     """
     changed: dict[str, Any] = {}
     for name, value in values.items():
         block, _, field = name.partition(".")
         if block not in loop.blocks or not field:
             raise TraceError(f"parameter '{name}': expected 'block.field'; blocks: {', '.join(loop.names)}")
-        changed[block] = _replaced(changed.get(block, loop.blocks[block]), field.split("."), value, name)
+        changed[block] = replaced(changed.get(block, loop.blocks[block]), field.split("."), value, name)
     for name, block in changed.items():
         loop = loop.with_block(name, block)
     return loop
@@ -259,16 +259,19 @@ def parameter(loop: Loop, name: str) -> Any:
         raise
 
 
-def _replaced(owner: Any, fields: list[str], value: Any, name: str) -> Any:
+def replaced(owner: Any, fields: Sequence[str], value: Any, name: str) -> Any:
+    """`owner`, a block or what is in one, with another value in a field of it; `name` is what errors call that."""
     field, *inner = fields
     known = [f.name for f in dataclasses.fields(owner)] if dataclasses.is_dataclass(owner) else []
     if field not in known:
         kind = type(owner).__name__
         raise TraceError(f"parameter '{name}': {kind} has no field '{field}'; fields: {', '.join(known) or 'none'}")
-    new = _replaced(getattr(owner, field), inner, value, name) if inner else value
+    new = replaced(getattr(owner, field), inner, value, name) if inner else value
     try:
         return dataclasses.replace(owner, **{field: new})
     except Exception:  # its checks cannot judge a symbol or an array: copy the fields as they are
+        if isinstance(value, float):
+            raise
         members = [item for base in type(owner).__mro__ for item in vars(base).items()]
         cached = {n for n, v in members if isinstance(v, functools.cached_property)}
         made = {f.name for f in dataclasses.fields(owner) if not f.init} | vars(owner).keys() - {*known, *cached}

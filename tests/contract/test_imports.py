@@ -52,7 +52,7 @@ AT_HOME = {
     "casadi": {"compiled", "diagram.maths", "analysis", "controllers.mpc"},
     "control": {"analysis"},
     "matplotlib": {"plots", "learning.pictures"},
-    "pandas": {"diagram.simulation"},
+    "pandas": {"diagram.simulation", "scenario.sweep"},
     "pyarrow": {"diagram.simulation", "logs.tables", "export.minari"},
     "typer": {"cli"},
     "onnx": {"export.onnx"},

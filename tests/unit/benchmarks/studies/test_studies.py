@@ -46,6 +46,7 @@ KEYS = {
         "ports update_ms"
     ),
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
+    "sweep": "best compile_seconds cores drive_seconds gains seconds",
     "throughput": (
         "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_linear_x batch_x "
         "compiled_c_x interpreted_x largest_difference_m simulate_x steps_per_second"
@@ -169,6 +170,10 @@ def sensible(name: str, f: Any) -> None:
         case "mpc_solve":
             assert min(f["ltv20_x_raw_qp"], f["nmpc20_x_raw_qp"]) > 0.0
             assert f["ltv20_unsolved"] == 0
+        case "sweep":
+            assert (f["gains"], f["drive_seconds"]) == (20, 5.0)
+            assert f["best"]["max_e"] < 1e-9  # the course begins straight
+            assert f["seconds"] > 0.0
         case "nfq_iteration":
             assert f["equal_work"]
         case "tune_stanley":

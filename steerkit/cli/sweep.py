@@ -1,0 +1,104 @@
+"""The command `steerkit sweep`: a controller on a course, with every combination of parameter values at once."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from steerkit._support.console import console
+from steerkit._support.errors import require
+from steerkit._support.files import write_text
+from steerkit.cli.options import SceneOptions, drive_options, driven_on, in_simulation, scenario_of
+from steerkit.compiled import TraceError
+from steerkit.diagram.loop import Loop
+from steerkit.plots.style import save
+from steerkit.scenario import drive
+from steerkit.scenario.sweep import USUAL, Sweep
+from steerkit.scenario.sweep import sweep as swept
+
+_SET = "NAME=LOW:HIGH:COUNT, NAME=LOW:HIGH:COUNT:log (evenly spaced in log) or NAME=VALUE,VALUE,..."
+
+
+@drive_options
+def sweep(
+    ctx: typer.Context,
+    options: SceneOptions,
+    controller: Annotated[str, typer.Argument(help="As for `steerkit drive`; or your own: my_file.py:make.")],
+    parameters: Annotated[
+        list[str],
+        typer.Option("--set", help=f"{_SET}: a field of the controller, or of a block: car.vehicle.m. Repeatable."),
+    ],
+    metrics: Annotated[list[str], typer.Option("--metric", help="Metric of docs/metrics.md; repeatable.")] = [*USUAL],  # noqa: B006 (typer copies it)
+    delay: Annotated[float, in_simulation("Steering delay (s).")] = 0.0,
+    seconds: Annotated[float, typer.Option(help="How long each car drives (s); 0: as long as its course takes.")] = 0.0,
+    out: Annotated[
+        Path | None, typer.Option(help="Directory for sweep.csv and sweep.png; default: under runs/.")
+    ] = None,
+) -> None:
+    """Drive with hundreds of values of a controller's or a car's parameters at once: a table and a picture.
+
+    Several --set make a grid. All drives are compiled into one program and have the same driver, noise and gusts.
+    """
+    require(out is None or out.is_dir() or not out.exists(), f"--out {out}", "is a file, expected a directory")
+    scenario = scenario_of(ctx)
+    loop = drive.drive_loop(scenario, drive.controller(controller, scenario), seed=options.seed)
+    values = dict(_values(text, loop) for text in parameters)
+    console.stderr = options.as_json
+    try:
+        lasts, show = seconds or scenario.seconds, not options.quiet
+        found = swept(loop, values, lasts, metrics, distance=scenario.length, progress=show)
+    except TraceError as error:
+        raise ValueError(f"sweep {controller}: {error}") from error
+    best = {metric: found.best(metric) for metric in metrics if np.isfinite(found[metric]).any()}
+    default = f"sweep-{Path(controller).name.replace(':', '-')}-{driven_on(scenario, options.conditions)}"
+    place = out or Path("runs") / f"{default}-seed{options.seed}"
+    place.mkdir(parents=True, exist_ok=True)
+    rows = np.column_stack(list(found.columns.values())).tolist()
+    lines = [",".join(found.columns), *(",".join(map(repr, row)) for row in rows)]
+    write_text(place / "sweep.csv", "\n".join([*lines, ""]))
+    kept = f"{len(rows)} drives: {place}/sweep.csv"
+    if len(values) <= 2:
+        save(found.plot(), place / "sweep.png")
+        kept += f"; picture: {place}/sweep.png"
+    console.print(_table(f"{controller} on {scenario.course.name}", found, best))
+    if not options.quiet:
+        console.print(kept, soft_wrap=True, markup=False)
+    if options.as_json:
+        columns = {name: [x if math.isfinite(x) else None for x in column] for name, column in found.columns.items()}
+        print(json.dumps({"controller": controller, "best": best, "columns": columns}))
+
+
+def _values(text: str, loop: Loop) -> tuple[str, Any]:
+    """What one --set says: the field's whole name, and its values."""
+    name, equals, numbers = text.partition("=")
+    words = numbers.split(":")
+    try:
+        if len(words) == 1:
+            values: Any = [float(word) for word in numbers.split(",")]
+        elif len(words) == 4 and words[3] == "log":
+            values = np.geomspace(float(words[0]), float(words[1]), int(words[2]))
+        else:
+            low, high, count = words
+            values = np.linspace(float(low), float(high), int(count))
+        require(equals and name and len(values) and np.isfinite(values).all(), "", "")
+    except ValueError:
+        raise ValueError(f"--set {text}: expected {_SET}") from None
+    if name.partition(".")[0] not in loop.names:  # a field of the controller, or of the one that it wraps
+        inside, block = "controller", loop.blocks["controller"]
+        while name.partition(".")[0] not in block.__dataclass_fields__ and hasattr(block, "block"):
+            inside, block = f"{inside}.block", block.block
+        name = f"{inside}.{name}"
+    return name, values
+
+
+def _table(title: str, found: Sweep, best: dict[str, dict[str, float]]) -> Table:
+    table = Table("best", *found.columns, title=title)
+    for metric, row in best.items():
+        table.add_row(metric, *(f"{value:.4g}" for value in row.values()))
+    return table

@@ -1,0 +1,87 @@
+"""A sweep is the drives it stands for, one by one."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import steerkit
+from steerkit.compiled import TraceError
+from steerkit.diagram.simulation import Log
+from steerkit.metrics import measures_of_log
+from steerkit.plants.speed_driver import ConstantSpeed
+from steerkit.plots.sweep import plot_sweep
+from steerkit.scenario.sweep import sweep
+
+PASSAT, PATH = steerkit.vehicle("vw-passat"), steerkit.course("circle")
+
+
+def loop_of(**gains: float) -> steerkit.Loop:
+    return steerkit.steering_loop(
+        car=steerkit.placed(steerkit.NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), PATH, e=0.3),
+        path=PATH,
+        driver=ConstantSpeed(speed=5.0),
+        controller=replace(steerkit.Stanley.of(PASSAT), **gains),
+        reference=PASSAT.l_f,
+    )
+
+
+def wheel_at_the_end(log: Log) -> float:
+    return float(log["car.delta_sw"][-1])
+
+
+@pytest.mark.parametrize("backend", ["python", "c"])
+def test_every_combination_is_the_drive_of_a_loop_of_its_own(backend: Any) -> None:
+    values = {"controller.k": [0.5, 1.0, 4.0], "controller.k_d_yaw": [0.0, 0.3]}
+    found = sweep(loop_of(), values, 3.0, ["p95_e", wheel_at_the_end], record=["car.delta_sw"], backend=backend)
+    assert [*found.columns] == [*values, "p95_e", "wheel_at_the_end"]
+    for row in found.frame().to_dict("records"):
+        gains = {name.split(".")[1]: row[name] for name in values}
+        log = steerkit.simulate(loop_of(**gains), 3.0, every=5)
+        assert row["p95_e"] == pytest.approx(measures_of_log(log)["p95_e"], rel=1e-9)
+        assert row["wheel_at_the_end"] == pytest.approx(wheel_at_the_end(log), rel=1e-9)
+    assert found.best("p95_e")["p95_e"] == found["p95_e"].min()
+    assert len(found.plot().axes) == 4  # two maps and their scales
+
+
+def test_a_car_that_is_lost_has_gaps_and_is_never_the_best() -> None:
+    found = sweep(loop_of(), {"controller.k": np.geomspace(1.0, 4.0, 5)}, 1.0, ["rms_e"])
+    panel = found.plot().axes[0]
+    assert (panel.get_xscale(), panel.get_ylabel()) == ("log", "rms_e [m]")
+    columns = found.columns | {"rms_e": np.array([np.nan, 0.2, np.nan, 0.1, 0.3])}
+    assert replace(found, columns=columns).best("rms_e")["controller.k"] == found["controller.k"][3]
+    with pytest.raises(ValueError, match="rms_e is NaN for all 5 drives"):
+        replace(found, columns=columns | {"rms_e": np.full(5, np.nan)}).best("rms_e")
+
+
+def test_a_drive_is_over_when_it_has_gone_the_distance() -> None:
+    whole = steerkit.simulate(loop_of(), 10.0, every=5)
+    there = int((whole["path.progress"] >= 20.0).argmax())
+    found = sweep(loop_of(), {"controller.k": [2.5]}, 10.0, [wheel_at_the_end], record=["car.delta_sw"], distance=20.0)
+    assert found["wheel_at_the_end"][0] == pytest.approx(whole["car.delta_sw"][there], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "metrics", "says"),
+    [
+        ({}, ["rms_e"], "no parameters"),
+        ({"controller.k": []}, ["rms_e"], r"expected finite numbers \(n,\)"),
+        ({"controller.k": [1.0, np.nan]}, ["rms_e"], r"expected finite numbers \(n,\)"),
+        ({"controller.k": [1.0, -1.0]}, ["rms_e"], r"Stanley: k = -1.0 \[1/s\], expected >= 0"),
+        ({"controller.gain": [1.0]}, ["rms_e"], "Stanley has no field 'gain'"),
+        ({"car.vehicle": [1.0]}, ["rms_e"], "a field that holds one number"),
+        ({"controller.k": [1.0]}, ["rms"], "did you mean 'rms_e'"),
+    ],
+)
+def test_what_cannot_be_swept_is_refused(values: Any, metrics: Any, says: str) -> None:
+    with pytest.raises((ValueError, TraceError), match=says):
+        sweep(loop_of(), values, 1.0, metrics)
+
+
+def test_three_parameters_have_a_table_and_no_picture() -> None:
+    values = {f"controller.{name}": [0.1, 0.2] for name in ("k", "k_d_yaw", "k_d_steer")}
+    found = sweep(loop_of(), values, 1.0, ["rms_e"])
+    assert found.frame().shape == (8, 4)
+    with pytest.raises(ValueError, match="expected one or two"):
+        plot_sweep(found.values, found.columns, {})
