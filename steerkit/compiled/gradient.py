@@ -8,7 +8,7 @@ from typing import Any
 import casadi
 import numpy as np
 
-from steerkit.compiled.trace import Layout, with_parameters
+from steerkit.compiled.trace import Layout, trace, traced, with_parameters
 from steerkit.diagram.loop import Loop, LoopState, Sample
 
 Cost = Callable[[Sequence[float]], tuple[float, np.ndarray]]
@@ -34,10 +34,12 @@ def gradient(
     the branch taken: at a limit or a table's knot it is one-sided. Raises TraceError for an unknown field, ValueError
     for a start within a period.
     """
+    trace(loop, parameters=parameters)  # which says what a block does wrong
     start = loop.init() if state is None else state
     if start.k % loop.period:
         raise ValueError(f"gradient: state at tick {start.k}, expected a multiple of the loop's period {loop.period}")
     layout, m = Layout(loop, start), len(parameters)
+    traced("the cost", lambda new: [cost(Sample(loop, new(), layout.unpack([new() for _ in layout.names])[1]))], [])
     head = [float(value) for value in layout.pack(start.x, start.y)]
     n = 2 + m + len(head)
     z, slopes = casadi.MX.sym("z", n), casadi.MX.sym("S", n, m)

@@ -8,7 +8,7 @@ import math
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 from steerkit.diagram.maths import Routine, Table
 
@@ -55,6 +55,8 @@ class Graph:
         self.tables: list[Table] = [] if tables is None else tables
         self.routines: list[Routine] | None = [] if routines else None
         self._known: dict[Node, int] = {}
+        self.refused: list[TypeError] = []
+        """What was asked of symbols that they cannot answer, though a block may have caught the error."""
 
     def input(self, slot: int) -> Symbol:
         """The symbol of an input slot."""
@@ -68,9 +70,14 @@ class Graph:
             raise TypeError("a symbol that is no input of the loop; was it kept from another trace?")
         return value.node
 
-    def const(self, value: float) -> int:
-        """The node of a number."""
-        return self._put(("const", float(value).hex()))
+    def const(self, value: Any) -> int:
+        """The node of a number; raises TypeError for anything else."""
+        try:
+            return self._put(("const", float(value).hex()))
+        except (TypeError, ValueError):
+            shape = f" of shape {value.shape}" if getattr(value, "shape", ()) else ""
+            what = f"computes with {value!r:.40}, a {type(value).__name__}{shape}, expected a number or a signal"
+            raise TypeError(f"{what}; for a number a car name the field in compile(parameters=...)") from None
 
     def value(self, i: int) -> float | None:
         """The number that node i is, None if it is not constant."""
@@ -165,20 +172,49 @@ class Symbol:
 
     __slots__ = ("graph", "node")
     __array_ufunc__ = None  # NumPy's numbers leave arithmetic with it to it
-    __hash__ = object.__hash__
     functions: SimpleNamespace
     """What `steerkit.diagram.maths` computes with, by CasADi's names."""
 
     def __init__(self, graph: Graph, node: int):
         self.graph, self.node = graph, node
 
-    def __bool__(self) -> bool:
-        raise TypeError("a symbol is neither true nor false; m.where instead of `if`, m.both instead of `and`")
+    def __repr__(self) -> str:
+        return "<signal>"
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        if function.__name__ in ("ndim", "shape"):
+            return 0 if function.__name__ == "ndim" else ()
+        return self._refuse(f"gives a signal to np.{function.__name__}", FUNCTIONS_OF_MATHS)
 
     def __pow__(self, exponent: Any) -> Any:
         if exponent != 2:
-            raise TypeError(f"a power of {exponent}, which steerkit.diagram.maths does not have; valid: 2")
+            self._refuse(f"takes a signal to the power of {exponent!r}", "valid: 2; others by products, m.sqrt, m.exp")
         return _of("mul", self, self)
+
+    def _refuse(self, what: str, cure: str) -> NoReturn:
+        self.graph.refused.append(TypeError(f"{what}; {cure}"))
+        raise self.graph.refused[-1]
+
+
+FUNCTIONS_OF_MATHS = "take m.sin, m.atan, m.sqrt, m.clip, m.floor, m.wrap, ... (steerkit.diagram.maths as m)"
+_CHOICES = (
+    "write m.where(condition, a, b), m.both, m.either, m.minimum, m.maximum, m.clip (steerkit.diagram.maths as m)"
+)
+_REFUSED = {
+    "asks if a signal is true (if, while, and, or, not, in, min, max, a < b < c)": ("bool", _CHOICES),
+    "makes a plain number of a signal (math.*, float, int, round, %f)": (
+        "float int complex trunc round floor ceil",
+        FUNCTIONS_OF_MATHS,
+    ),
+    "takes a signal for an index or a count": ("index", "look it up in a steerkit.diagram.maths.Table, or m.where"),
+    "takes a signal for a key of a dictionary or a set": ("hash", "m.where, or a steerkit.diagram.maths.Table"),
+    "uses %, // or divmod": ("mod rmod floordiv rfloordiv divmod", "write m.floor(a / b), m.wrap(angle)"),
+    "uses &, |, ^ or ~": ("and rand or ror xor rxor invert", _CHOICES),
+    "prints or formats a signal, which has no number yet": ("str format", "make it an output and look at the log"),
+}
+for _what, (_names, _cure) in _REFUSED.items():
+    for _name in _names.split():
+        setattr(Symbol, f"__{_name}__", lambda self, *_, what=_what, cure=_cure: self._refuse(what, cure))
 
 
 def _of(op: str, *operands: Any) -> Symbol:

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.compiled.graph import Graph, Symbol, collapsed
+from steerkit.compiled.graph import FUNCTIONS_OF_MATHS, Graph, Symbol, collapsed
 from steerkit.diagram.block import state_like
-from steerkit.diagram.diagnostics import place_of
+from steerkit.diagram.diagnostics import check_outputs, mistake, place_of
 from steerkit.diagram.loop import Loop, LoopState
 from steerkit.diagram.maths import Routine, Table
 
@@ -145,13 +145,14 @@ def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False)
                 f"{name} ({type(block).__name__}) is not pure, so it cannot be compiled; compile the loop with a model "
                 f"in its place (loop.with_block('{name}', model)), or run this one with simulate"
             )
-    layout = Layout(loop, _some_state(loop))
+    layout = Layout(loop, start_of(loop))
     graph = Graph(routines=routines)
     k, *slots = [graph.input(slot) for slot in range(1 + len(layout))]
     present = {name: parameter(loop, name) for name in parameters}
     flat = flattened(present)
     numbers = [graph.input(1 + len(layout) + i) for i in range(len(flat))]
     open_loop = with_parameters(loop, _regrouped(present, numbers))
+    graph.refused.clear()  # by the checks of the parameters
     made: dict[tuple[bool, ...], Tick] = {}
     for phase in range(loop.period):
         if (due := loop.due(phase)) not in made:
@@ -160,10 +161,13 @@ def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False)
     return Trace(loop, layout, tuple(flat), ticks, tuple(graph.tables), tuple(graph.routines or ()))
 
 
-def _some_state(loop: Loop) -> LoopState:
-    """A state of the loop, for its shape: of one car, or of as many as the blocks hold arrays for."""
+def start_of(loop: Loop) -> LoopState:
+    """A state of the loop: of one car, or of as many as the blocks hold arrays for. Raises TraceError naming the block
+    whose code failed."""
     try:
         return loop.init()
+    except (TypeError, LookupError, AttributeError, ArithmeticError, NameError) as error:
+        raise _blamed(loop, error) from error
     except ValueError:
         values = [getattr(b, f.name) for b in loop.blocks.values() for f in dataclasses.fields(b)]
         cars = {len(value) for value in values if isinstance(value, np.ndarray) and value.ndim == 1}
@@ -174,14 +178,17 @@ def _some_state(loop: Loop) -> LoopState:
 
 def _tick(loop: Loop, phase: int, layout: Layout, k: Any, slots: list[Symbol]) -> Tick:
     x, y = layout.unpack(slots)
+    before = tuple(x)
     try:
         loop.run_phase(phase, k * loop.dt, x, y)
+        if k.graph.refused:  # a block may have caught it, and gone on without a number
+            raise k.graph.refused[0]
     except Exception as error:
-        raise TraceError(_blame(loop, error)) from error
-    values = layout.pack(x, y)
-    if len(values) != len(slots):
-        raise TraceError(f"a block of {loop!r} changed the number of its states or outputs in a tick")
-    roots = [_root(k.graph, name, value) for name, value in zip(layout.names, values)]
+        raise _blamed(loop, error) from error
+    loop.check(before, x)
+    for (name, block), values in zip(loop.blocks.items(), y):
+        check_outputs(name, block, values)
+    roots = [_root(k.graph, name, value) for name, value in zip(layout.names, layout.pack(x, y))]
     return Tick(k.graph, tuple(roots))
 
 
@@ -194,6 +201,8 @@ def traced(what: str, function: Callable[[Callable[[], Any]], Sequence[Any]], ta
     graph, slots = Graph(tables, routines=False), itertools.count()
     try:
         roots = [_root(graph, what, value) for value in function(lambda: graph.input(next(slots)))]
+        if graph.refused:
+            raise graph.refused[0]
     except Exception as error:
         raise TraceError(f"{what} cannot be run on symbols: {type(error).__name__}: {error}") from error
     return Tick(graph, tuple(roots))
@@ -207,15 +216,19 @@ def _root(graph: Graph, name: str, value: Any) -> int:
         raise TraceError(f"{name} is {what}") from error
 
 
-def _blame(loop: Loop, error: Exception) -> str:
-    """What is said of the block in which a traced tick failed."""
+def _blamed(loop: Loop, error: Exception) -> TraceError:
+    """What is said of the block in which a traced tick, or its start, failed."""
     place = place_of(error, loop.blocks)
+    what = place and mistake(error, place)
+    if not what:
+        what = " ".join(str(error).split())[:300].replace("'Symbol'", "a signal")
+        what = what if isinstance(error, TypeError) else f"{type(error).__name__}: {what}"
+        if "ufuncs" in what:
+            what = f"gives a signal to a function of NumPy or SciPy; {FUNCTIONS_OF_MATHS}"
+        if ";" not in what:
+            what = f"{what}; write it with steerkit.diagram.maths and arithmetic, or run the loop with simulate"
     where = f"{place.text} cannot be run on symbols, {place.line}" if place else "a block cannot be run on symbols"
-    return (
-        f"{where}: {type(error).__name__}: {error}; write its equations with "
-        "steerkit.diagram.maths and arithmetic (m.where instead of `if`, no numpy calls, parameters that are numbers), "
-        "or run the loop with simulate; per-car parameters are named in compile(parameters=...)"
-    )
+    return TraceError(f"{where}: {what}")
 
 
 def with_parameters(loop: Loop, values: dict[str, Any]) -> Loop:

@@ -65,13 +65,14 @@ def explained(error: Exception, blocks: Mapping[str, Block]) -> WiringError | No
     """
     if isinstance(error, WiringError) or (place := place_of(error, blocks)) is None:
         return None
-    if what := _mistake(error, place):
+    if what := mistake(error, place):
         return WiringError(f"{place.text}, {place.line}: {what}")
     error.add_note(f"in {place.text}, {place.line}")
     return None
 
 
-def _mistake(error: Exception, place: Place) -> str:
+def mistake(error: Exception, place: Place) -> str:
+    """What was done wrong, and what to do instead; "" for an error that is none of the usual ones."""
     text, block = str(error), place.block
     if isinstance(error, ValueError) and "truth value of an array" in text:
         return (
@@ -82,6 +83,8 @@ def _mistake(error: Exception, place: Place) -> str:
         return "gives an array (a batch of cars) to `math` or to float(); take sin, sqrt, ... of steerkit.diagram.maths"
     if isinstance(error, dataclasses.FrozenInstanceError):
         return f"sets an attribute ({text}); a block keeps nothing: give it a state by `init`, changed by `update`"
+    if "does not support item assignment" in text or "can't set attribute" in text:
+        return f"changes a state or an input in place ({text}); return a new one: State(z + self.dt * u.e)"
     if isinstance(error, AttributeError) and type(error.obj).__name__ in ("U", "D") and place.called:
         return _no_input(error, block, place.method)
     if isinstance(error, TypeError) and text.startswith("Y.__new__()"):
@@ -118,10 +121,10 @@ def check_outputs(name: str, block: Block, y: Any, shape: tuple[int, ...] | None
 
     shape: of a signal: () for one car, (N,) for a batch; None: either.
     """
-    where = f"{name}.output ({type(block).__name__})"
-    _check_tuple(where, y, f"its outputs: return {_answer(block)}")
+    where = _Asked(name, block, "output")
+    where.require_tuple(y, f"its outputs: return {_answer(block)}")
     if len(y) != len(block.outputs):
-        raise WiringError(f"{where} gave {len(y)} values, expected {len(block.outputs)}: return {_answer(block)}")
+        raise where.wrong(f"{where} gave {len(y)} values, expected {len(block.outputs)}: return {_answer(block)}")
     for out, value in zip(block.outputs, y):
         size = getattr(block, out.name).size
         signal = f"{name}.{out.name} [{out.unit}]"
@@ -129,10 +132,10 @@ def check_outputs(name: str, block: Block, y: Any, shape: tuple[int, ...] | None
             entries = value if isinstance(value, tuple | list | np.ndarray) else ()
             if len(entries) != size:
                 given = f"has {len(entries)} entries" if len(entries) else f"is {_shown(value)}"
-                raise WiringError(f"{signal} {given}, expected {size}")
+                raise where.wrong(f"{signal} {given}, expected {size}")
         for number in (value,) if size is None else value:
             if not _is_number(number, shape):
-                raise WiringError(f"{signal} is {_shown(number)}, {_kind(number)}, expected {_expected(shape)}")
+                raise where.wrong(f"{signal} is {_shown(number)}, {_kind(number)}, expected {_expected(shape)}")
 
 
 def check_state(
@@ -147,20 +150,35 @@ def check_state(
 
     shape: as for `check_outputs`. like: the state before, of as many numbers.
     """
-    where = f"{name}.{method} ({type(block).__name__})"
-    _check_tuple(where, x, "a tuple of numbers, such as (z,), or () for no state")
+    where = _Asked(name, block, method)
+    where.require_tuple(x, "a tuple of numbers, such as (z,), or () for no state")
     if like is not None and len(x) != len(like):
-        raise WiringError(f"{where} gave {len(x)} numbers, expected {len(like)}, as the state before has")
+        raise where.wrong(f"{where} gave {len(x)} numbers, expected {len(like)}, as the state before has")
     for number in x:
         if not _is_number(number, shape):
             what = f"{_shown(number)}, {_kind(number)}, in its state"
-            raise WiringError(f"{where} gave {what}, expected {_expected(shape)} in each place")
+            raise where.wrong(f"{where} gave {what}, expected {_expected(shape)} in each place")
 
 
-def _check_tuple(where: str, values: Any, expected: str) -> None:
-    if not isinstance(values, tuple | list):
-        given = "nothing (is a `return` missing?)" if values is None else f"{_shown(values)}, {_kind(values)}"
-        raise WiringError(f"{where} gave {given}, expected {expected}")
+class _Asked(NamedTuple):
+    """A method of a block of a loop, which answered."""
+
+    name: str
+    block: Block
+    method: str
+
+    def __str__(self) -> str:
+        return f"{self.name}.{self.method} ({type(self.block).__name__})"
+
+    def wrong(self, what: str) -> WiringError:
+        """The error, with the line where the method begins."""
+        code = getattr(type(self.block), self.method).__code__
+        return WiringError(f"{what} ({self.method}: line {code.co_firstlineno} of {FilePath(code.co_filename).name})")
+
+    def require_tuple(self, values: Any, expected: str) -> None:
+        if not isinstance(values, tuple | list):
+            given = "nothing (is a `return` missing?)" if values is None else f"{_shown(values)}, {_kind(values)}"
+            raise self.wrong(f"{self} gave {given}, expected {expected}")
 
 
 def require_block(block: Any, where: str, role: str, example: str) -> None:

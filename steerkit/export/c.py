@@ -13,7 +13,7 @@ import numpy as np
 
 from steerkit._support.errors import known, require
 from steerkit.compiled.c_code import SCALAR_TYPES, c_number, phase_labels, statements, table_source
-from steerkit.compiled.trace import Trace, TraceError, trace
+from steerkit.compiled.trace import Trace, TraceError, start_of, trace
 from steerkit.diagram.block import Block, Out, State
 from steerkit.diagram.loop import Loop, LoopState, Wire
 from steerkit.diagram.maths import filled
@@ -54,7 +54,7 @@ def export_c(
     alone = isinstance(what, Block)
     loop, chosen = (_fed(what), ("block",)) if isinstance(what, Block) else (what, blocks)
     require(bool(chosen), "export_c", f"which blocks of the loop? blocks=(...) of: {', '.join(loop.names)}")
-    part = _Part.of_loop(loop, chosen, loop.init() if state is None else state, alone)
+    part = _Part.of_loop(loop, chosen, start_of(loop) if state is None else state, alone)
     title = name or (re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", type(what).__name__).lower() if alone else "controller")
     fits = re.fullmatch(r"[a-z][a-z0-9_]*", title)
     require(bool(fits), "export_c", f"name {title!r}, expected a C identifier in lower case, such as 'recovery'")
