@@ -44,13 +44,7 @@ SPEED, CARS = 6.0, 1000
 CAR = vehicle("vw-passat")
 DIAGRAM, ONE = (f"python-control, {how}" for how in ("same diagram", "one function"))
 MANY = f"C, {CARS} cars"
-NEEDED = {
-    "interpreted_x": 5,
-    "compiled_c_x": 250,
-    "batch_x": 400,
-    "batch_linear_x": 3000,
-    "batch_car_steps_per_second_x_one_function": 3000,
-}
+NEEDED = {"interpreted_x": 5, "compiled_c_x": 250, "batch_x": 3000, "batch_car_steps_per_second_x_one_function": 3000}
 
 
 def closed_loop() -> Loop:
@@ -97,20 +91,15 @@ def contestants(loop: Loop, quick: bool) -> list[Contestant]:
         ways.append(Contestant(name, n, lambda made=made, n=n: python_control.run(made, n)))  # type: ignore[misc]
     n = 500 * scale
     ways.append(Contestant("simulate", n, lambda: simulate(loop, n * DT, state=start, record=["path.e"])))
-    for name, options, size in (
-        ("generated Python", {"backend": "python"}, 2000),
-        ("C", {"backend": "c"}, 40000),
-        ("C, collapsed", {"backend": "c", "collapse": True}, 40000),
-    ):
-        ready = compile(loop, record=["path.e"], **options)
+    for name, backend, size in (("generated Python", BACKENDS[0], 2000), ("C", BACKENDS[1], 40000)):
+        ready = compile(loop, record=["path.e"], backend=backend)
         ways.append(Contestant(name, size * scale, lambda c=ready, s=size: c.run(s * scale * DT, state=start)))  # type: ignore[misc]
     ways.append(
         Contestant(f"NumPy, {CARS} cars", 20 * CARS, lambda: simulate(loop, 20 * DT, state=many, record=["path.e"]))
     )
-    for name, collapse in ((MANY, False), (f"{MANY}, collapsed", True)):
-        ready = compile(loop, backend="c", record=["path.e"], every=20, collapse=collapse)
-        size = 250 * scale
-        ways.append(Contestant(name, size * CARS, lambda c=ready, s=size: c.run(s * DT, state=many)))  # type: ignore[misc]
+    ready = compile(loop, backend="c", record=["path.e"], every=20)
+    size = 250 * scale
+    ways.append(Contestant(MANY, size * CARS, lambda: ready.run(size * DT, state=many)))
     for way in ways:
         way.run()
     return ways
@@ -121,11 +110,7 @@ def require_equal_runs(loop: Loop) -> float:
     start = loop.init()
     reference = simulate(loop, 100 * DT, state=start)["path.e"]
     runs = [python_control.run(python_control.diagram(loop, start), 100)]
-    runs += [
-        compile(loop, backend=b, record=["path.e"], collapse=c).run(100 * DT, state=start)["path.e"]
-        for b in BACKENDS
-        for c in (False, True)
-    ]
+    runs += [compile(loop, backend=b, record=["path.e"]).run(100 * DT, state=start)["path.e"] for b in BACKENDS]
     worst = max(float(np.abs(run - reference).max()) for run in runs)
     if not worst < 1e-11:
         raise SystemExit(f"the ways disagree by {worst:.2e} m: nothing to compare")
@@ -170,7 +155,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "simulate_x": ratios["simulate"],
         "compiled_c_x": ratios["C"],
         "batch_x": ratios[MANY],
-        "batch_linear_x": ratios[f"{MANY}, collapsed"],
         "batch_car_steps_per_second": statistics.median(rates[MANY]),
         "batch_car_steps_per_second_x_one_function": against[ONE][MANY],
         "steps_per_second": {name: statistics.median(values) for name, values in rates.items()},

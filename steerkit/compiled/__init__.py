@@ -8,11 +8,10 @@ in C, which calls its Python function, and in Python. `gradient` differentiates 
 
 from __future__ import annotations
 
-import functools
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
@@ -27,9 +26,6 @@ from steerkit.diagram.simulation import Log, Signal, check_finite
 
 __all__ = ["Compiled", "NoCompilerError", "TraceError", "compile"]
 
-_PROGRAMS = 4  # made for different held values, before the general one serves all others
-_WORTH_IT = 0.9  # share of the operations that is left, to make a program of its own
-
 Backend = Literal["auto", "python", "c"]
 
 
@@ -40,7 +36,6 @@ def compile(
     record: Sequence[Signal] | None = None,
     every: int = 1,
     parameters: Sequence[str] = (),
-    collapse: bool = False,
 ) -> Compiled:
     """A loop as fast as the machine allows; runs give the same `Log` as `simulate`.
 
@@ -48,10 +43,7 @@ def compile(
     to make) or "auto": C where there is a compiler, else Python and a warning.
     record: signals to keep (default: all); every: keep one tick in `every`. parameters: block fields to leave open,
     such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car (for a field that is a
-    tuple, such as a policy's weights: an array (n,), or (n, N) for N cars). collapse: take signals
-    that no tick changes (a constant speed) for numbers and multiply out what is linear then, where that saves work: a
-    linear plant at a constant speed becomes its step matrix. Sums are then made in another order, and another start
-    value makes another program.
+    tuple, such as a policy's weights: an array (n,), or (n, N) for N cars).
 
     Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError for backend "c" without
     a compiler; KeyError for an unknown signal; ValueError for a bad argument.
@@ -69,9 +61,7 @@ def compile(
     names = list(loop.units) if record is None else [r if isinstance(r, str) else loop.port_name(r) for r in record]
     for name in names:
         loop.locate(name)
-    return Compiled(
-        loop, "python" if backend == "python" else "c", tuple(names), every, tuple(parameters), collapse, traced
-    )
+    return Compiled(loop, "python" if backend == "python" else "c", tuple(names), every, tuple(parameters), traced)
 
 
 @dataclass(frozen=True)
@@ -83,9 +73,7 @@ class Compiled:
     record: tuple[str, ...]
     every: int
     parameters: tuple[str, ...]
-    collapse: bool
     trace: Trace
-    _programs: dict[tuple[float, ...] | None, Any] = field(default_factory=dict)
 
     @cached_property
     def _slots(self) -> list[int]:
@@ -122,8 +110,7 @@ class Compiled:
             np.array([np.broadcast_to(np.asarray(v, dtype=float), (n,)) for v in numbers]).reshape(-1, n)
             for numbers in (slots, values.values())
         )
-        program = self._program(wide)
-        runs = program.run if isinstance(program, NativeProgram) else functools.partial(self._floats, program)
+        runs = self._program.run if self.backend == "c" else self._floats
         rows, end_of_all = runs(state.k, stop, wide, fixed)
         rows, end = (rows[..., 0], lambda: end_of_all()[:, 0]) if cars is None else (rows, end_of_all)
         log = self._log(state.k, stop, rows, end)
@@ -146,11 +133,9 @@ class Compiled:
             present[name] = tuple(value) if isinstance(old, tuple) else value
         return flattened(present)
 
-    def _floats(
-        self, program: PythonProgram, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray
-    ) -> tuple[np.ndarray, Slots]:
+    def _floats(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
         """As `NativeProgram.run`, car by car."""
-        rows, ends = [], []
+        program, rows, ends = self._program, [], []
         for start, fixed in zip(slots.T.tolist(), parameters.T.tolist(), strict=True):
             kept: list[tuple[float, ...]] = []
             persistent = program.run(k, stop - 1, start, fixed, kept)
@@ -162,30 +147,10 @@ class Compiled:
             rows.append(np.array(kept, dtype=float).reshape(len(kept), len(self._slots)))
         return np.stack(rows, axis=-1), lambda: np.array(ends, dtype=float).T
 
-    def _program(self, slots: Any) -> Any:
-        """The program for a start; one of its own for each of the first few sets of held values that pay for it."""
-        key = self._held_values(slots)
-        if key not in self._programs:
-            trace = self.trace if key is None else self.trace.with_held(key)
-            if key is not None and trace.instructions > _WORTH_IT * self.trace.instructions:
-                self._programs[key] = self._programs.get(None) or self._made(self.trace)
-            else:
-                self._programs[key] = self._made(trace)
-        return self._programs[key]
-
-    def _held_values(self, slots: Any) -> tuple[float, ...] | None:
-        if not self.collapse:
-            return None
-        values = [np.unique(slots[slot]) for slot in self.trace.held]
-        if any(len(v) > 1 or not math.isfinite(v[0]) for v in values):
-            return None
-        key = tuple(float(v[0]) for v in values)
-        return key if key in self._programs or len(self._programs) < _PROGRAMS else None
-
-    def _made(self, trace: Trace) -> Any:
-        if self.backend == "c":
-            return NativeProgram(trace, self._slots, self.every)
-        return PythonProgram(trace, self._slots, self.every)
+    @cached_property
+    def _program(self) -> Any:
+        kind = NativeProgram if self.backend == "c" else PythonProgram
+        return kind(self.trace, self._slots, self.every)
 
     def _state(self, k: int, end: Any) -> LoopState:
         values = [float(v) if np.ndim(v) == 0 else np.array(v) for v in end]

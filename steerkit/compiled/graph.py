@@ -6,7 +6,7 @@ import contextlib
 import functools
 import math
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import SimpleNamespace
 from typing import Any, NoReturn
 
@@ -255,109 +255,3 @@ _NAMES = {"fabs": "abs", "if_else": "select", "logic_and": "and", "logic_or": "o
 Symbol.functions = SimpleNamespace(
     row=_row, call=_call, **{name: functools.partial(_of, op) for name, op in _NAMES.items()}
 )
-
-
-def collapsed(graph: Graph, roots: Sequence[int], fixed: Mapping[int, float]) -> tuple[Graph, list[int]]:
-    """The same equations with the inputs in `fixed` as numbers, and chains of linear operations multiplied out.
-
-    A Runge-Kutta step of a linear plant at a constant speed is a polynomial of its matrix; multiplied out it is one
-    row of the step matrix an output: x(k+1) = A x(k) + B u(k), exactly. That is done where it takes fewer operations.
-    A term with the coefficient zero is left out: what it multiplied is taken to be finite. What feeds a floor, a
-    comparison or a table index is left as it was written, since there a last digit may decide. Agrees with `graph` to
-    rounding.
-    """
-    candidates = [_multiplied_out(graph, roots, longest, fixed) for longest in (0, 6, 32)]
-    return min(candidates, key=lambda candidate: _count(*candidate))
-
-
-def _count(graph: Graph, roots: Sequence[int]) -> int:
-    return sum(graph.nodes[i][0] not in ("const", "in") for i in graph.order(roots))
-
-
-_LINEAR = frozenset({"add", "sub", "mul", "div", "neg"})
-_Form = dict[int, float]  # coefficient by node of the new graph; key -1 holds the constant
-
-
-def _multiplied_out(
-    graph: Graph, roots: Sequence[int], longest: int, fixed: Mapping[int, float]
-) -> tuple[Graph, list[int]]:
-    new = Graph()
-    order = graph.order(roots)
-    exact = _exact(graph, order)
-    forms: dict[int, _Form] = {}
-    made: dict[int, int] = {}
-
-    def node(i: int) -> int:
-        if i not in made:
-            made[i] = _emit(new, forms[i])
-        return made[i]
-
-    for i in order:
-        op, *operands = graph.nodes[i]
-        if op == "in" and operands[0] in fixed:
-            made[i] = new.const(fixed[operands[0]])
-            forms[i] = {-1: fixed[operands[0]]}
-            continue
-        form = _form(op, [forms[j] for j in operands]) if op in _LINEAR and i not in exact else None
-        if form is not None:
-            form = {key: c for key, c in form.items() if c != 0.0} or {-1: 0.0}
-        if form is not None and len(form) <= longest and all(map(math.isfinite, form.values())):
-            forms[i] = form
-            continue
-        if op == "const":
-            made[i] = new.const(float.fromhex(operands[0]))
-        elif op == "in":
-            made[i] = new.add(op, *operands)
-        elif op == "row":
-            made[i] = new.add(op, operands[0], node(operands[1]), operands[2])
-        elif op == "call":
-            made[i] = new.add(op, *operands[:2], *[node(j) for j in operands[2:]])
-        elif op == "result":
-            made[i] = new.add(op, node(operands[0]), operands[1])
-        else:
-            made[i] = new.add(op, *[node(j) for j in operands])
-        value = new.value(made[i])
-        forms[i] = {made[i]: 1.0} if value is None else {-1: value}
-    return new, [node(i) for i in roots]
-
-
-def _exact(graph: Graph, order: list[int]) -> set[int]:
-    """Nodes that reach a floor, a comparison or a table index through linear operations alone."""
-    exact: set[int] = set()
-    for i in reversed(order):
-        op, *_ = graph.nodes[i]
-        if op in ("floor", "row") or op in BOOLEAN or (i in exact and op in (*_LINEAR, "select")):
-            exact.update(graph.operands(i))
-    return exact
-
-
-def _form(op: str, forms: list[_Form]) -> _Form | None:
-    def scaled(form: _Form, by: float) -> _Form:
-        return {key: by * c for key, c in form.items()}
-
-    if op == "neg":
-        return scaled(forms[0], -1.0)
-    a, b = forms
-    if op in ("add", "sub"):
-        total = dict(a)
-        for key, c in b.items():
-            total[key] = total.get(key, 0.0) + (c if op == "add" else -c)
-        return total
-    if op == "div":
-        return scaled(a, 1.0 / b[-1]) if b.keys() == {-1} and b[-1] != 0.0 else None
-    if a.keys() == {-1}:
-        return scaled(b, a[-1])
-    return scaled(a, b[-1]) if b.keys() == {-1} else None
-
-
-def _emit(graph: Graph, form: _Form) -> int:
-    """Terms with the same coefficient are added first, then scaled once."""
-    groups: dict[float, int] = {}
-    for key, c in form.items():
-        if key != -1:
-            groups[c] = graph.add("add", groups[c], key) if c in groups else key
-    total = None if form.get(-1, 0.0) == 0.0 else graph.const(form[-1])
-    for c, group in groups.items():
-        term = graph.add("mul", graph.const(c), group)
-        total = term if total is None else graph.add("add", total, term)
-    return graph.const(0.0) if total is None else total

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit.compiled.graph import FUNCTIONS_OF_MATHS, Graph, Symbol, collapsed
+from steerkit.compiled.graph import FUNCTIONS_OF_MATHS, Graph, Symbol
 from steerkit.diagram.block import state_like
 from steerkit.diagram.diagnostics import check_outputs, mistake, place_of
 from steerkit.diagram.loop import Loop, LoopState
@@ -101,19 +101,6 @@ class Trace:
         """The slots whose old values any tick reads, so that they go from tick to tick."""
         nodes = [tick.graph.nodes[i] for tick, _ in self.kinds for i in tick.graph.order(tick.roots)]
         return sorted({slot - 1 for op, slot, *_ in nodes if op == "in" and 0 < slot <= len(self.layout)})
-
-    @functools.cached_property
-    def held(self) -> list[int]:
-        """The slots that no tick changes: a constant speed, say."""
-        slots = range(len(self.layout))
-        return [s for s in slots if all(tick.graph.nodes[tick.roots[s]] == ("in", s + 1) for tick, _ in self.kinds)]
-
-    def with_held(self, values: Sequence[float]) -> Trace:
-        """The trace for starts at which the held slots have these values, which are now constants; see `collapsed`."""
-        fixed = {slot + 1: value for slot, value in zip(self.held, values)}
-        programs = [collapsed(tick.graph, tick.roots, fixed) for tick, _ in self.kinds]
-        made = [Tick(graph, tuple(roots)) for graph, roots in programs]
-        return dataclasses.replace(self, ticks=tuple(made[self.kind(phase)] for phase in range(len(self.ticks))))
 
     def require_timeless(self, where: str) -> None:
         """Raise ValueError if a block depends on the time t, which cars that start anew one by one do not share."""

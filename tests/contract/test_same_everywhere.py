@@ -228,16 +228,6 @@ def test_each_car_of_a_batch_is_that_car_alone(make: Callable[..., Loop]) -> Non
     require_same(compile(loop, backend="python").run(SECONDS, state=start), together, "one after the other")
 
 
-@few
-@given(seed=st.integers(0, 10**6))
-def test_a_linear_car_collapsed_to_its_step_matrix(seed: int) -> None:
-    """Sums in another order: the last digits of a position of some 100 m come back through the controller's gains."""
-    loop = linear_at_constant_speed(seed, np.random.default_rng(seed))
-    c = compile(loop, backend="python", collapse=True)
-    start = loop.init()
-    require_same(c.run(SECONDS, state=start), simulate(loop, SECONDS, state=start), "collapsed", bound=1e-10)
-
-
 @needs_compiler
 @pytest.mark.parametrize("make", [linear_with_a_human, learner_with_recovery], ids=lambda make: make.__name__)
 def test_exported_controllers_give_the_recorded_commands(make: Callable[..., Loop], tmp_path: Path) -> None:

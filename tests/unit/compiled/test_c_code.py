@@ -14,7 +14,7 @@ import pytest
 from steerkit._support import native
 from steerkit.compiled import compile
 from steerkit.compiled.c_code import MANY, ONE, finish_source, run_source, scheduled, table_source
-from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, INFIX, Graph, collapsed
+from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, INFIX, Graph
 from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import trace
 from steerkit.diagram import maths as m
@@ -51,16 +51,6 @@ def test_infinite_parameters_keep_their_sign(floor: float) -> None:
     start = loop.with_block_state(loop.init(), "counts", (-5.0,))
     log = compile(loop, backend="c").run(0.3, state=start, allow_nonfinite=True)
     np.testing.assert_array_equal(log["counts.count"], np.maximum(np.arange(-5.0, 1.0), floor))
-
-
-def test_cars_with_several_held_values_each_keep_their_own() -> None:
-    """Collapsed for one value, cars of another one would all swing alike."""
-    loop = oscillating_loop()
-    program = compile(loop, backend="c", collapse=True)
-    values = np.array([4.0, 9.0, 1.0])
-    start = loop.with_block_state(loop.init(batch=3), "held", (values,))
-    log = program.run(3.0, state=start)
-    np.testing.assert_allclose(log["oscillator.x"], np.cos(np.sqrt(values) * log.t[:, None]), atol=1e-8)
 
 
 def chain(graph: Graph, slot: int, length: int, op: str = "mul") -> int:
@@ -122,8 +112,6 @@ def generated() -> dict[str, str]:
             found[f"{name} C{' lanes' * many}"] = run_source(made, recorded, many=many) + "".join(
                 finish_source(made, number, many=many) for number in range(len(made.kinds))
             )
-        graph, roots = collapsed(made.ticks[0].graph, made.ticks[0].roots, {1: 4.0})
-        found[f"{name} collapsed"] = str([graph.nodes, roots])
     return found
 
 

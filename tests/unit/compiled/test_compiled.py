@@ -38,7 +38,7 @@ def test_a_decay_is_its_closed_form(backend: Any) -> None:
 @pytest.mark.parametrize("dt", [0.05, 0.025])
 def test_every_operation_agrees_with_simulate(backend: Any, dt: float) -> None:
     loop = mixed_loop(dt)
-    log = compile(loop, backend=backend, collapse=False).run(5.0)
+    log = compile(loop, backend=backend).run(5.0)
     assert worst(log, simulate(loop, 5.0)) <= 1e-13
     assert log["mixed.row"].shape == (len(log.t), 2)
     many = compile(loop, backend=backend).run(2.0, batch=11)
@@ -70,19 +70,6 @@ def test_every_car_has_its_parameters_and_start(backend: Any) -> None:
     np.testing.assert_allclose(log["decay.x"], x0 * a ** np.arange(20)[:, None], rtol=1e-13)
     one = c.run(1.0, parameters={"decay.a": 0.5})
     np.testing.assert_allclose(one["decay.x"], 0.5 ** np.arange(20), rtol=1e-14)
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_held_signals_become_constants_of_each_start(backend: Any) -> None:
-    c = compile(decay_loop(a=0.5, b=1.0), backend=backend, collapse=True)
-    loop = c.loop
-    for value in (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 0.5):
-        state = loop.with_block_state(loop.init(), "held", (value,))
-        log = c.run(3.0, state=state)
-        assert log["decay.x"][-1] == pytest.approx(2.0 * value, rel=1e-12)
-        assert log["held.v"][-1] == value
-    batch = loop.with_block_state(loop.init(batch=4), "held", (np.array([1.0, 2.0, 3.0, 4.0]),))
-    np.testing.assert_allclose(c.run(3.0, state=batch)["decay.x"][-1], [2.0, 4.0, 6.0, 8.0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

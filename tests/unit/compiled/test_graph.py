@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from steerkit.compiled.c_code import function_source
-from steerkit.compiled.graph import FUNCTIONS, Graph, collapsed
+from steerkit.compiled.graph import FUNCTIONS, Graph
 from steerkit.compiled.python_code import _statements
 from steerkit.compiled.trace import traced
 from steerkit.diagram import maths as m
@@ -63,20 +63,3 @@ def test_what_is_no_equation_is_refused() -> None:
             attempt()
     assert m.is_symbol(x)
     assert len(x.graph.refused) == 4  # known though they were caught
-
-
-@pytest.mark.parametrize("after", ["floor", "le", "row"])
-def test_what_a_last_digit_decides_is_not_multiplied_out(after: str) -> None:
-    """(0.1 x) 3 is not 0.3 x to the last digit: before a floor, a comparison or a table it stays as it was written."""
-    g = Graph()
-    x = g.add("in", 1)
-    product = g.add("mul", g.add("mul", g.const(0.1), x), g.const(3.0))
-    node = {
-        "floor": lambda: g.add("floor", product),
-        "le": lambda: g.add("select", g.add("le", product, g.const(0.9)), x, g.const(0.0)),
-        "row": lambda: g.add("row", 0, product, 0),
-    }[after]()
-    plain, (root,) = collapsed(g, [product], {})
-    assert sum(plain.nodes[i][0] == "mul" for i in plain.order([root])) == 1
-    exact, (root,) = collapsed(g, [node], {})
-    assert sum(exact.nodes[i][0] == "mul" for i in exact.order([root])) == 2

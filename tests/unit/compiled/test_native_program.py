@@ -73,11 +73,10 @@ def loop_of(value: float = 3.0) -> Loop:
     return Loop(blocks={"held": held, "rooted": rooted}, wires=[(held.v, rooted.given)])
 
 
-@pytest.mark.parametrize("collapse", [False, True])
 @pytest.mark.parametrize("backend", ["c", "python"])
-def test_a_routine_is_called_by_compiled_loops(backend: Any, collapse: bool) -> None:
+def test_a_routine_is_called_by_compiled_loops(backend: Any) -> None:
     loop = loop_of()
-    simulated, program = simulate(loop, 2.0), compile(loop, backend=backend, collapse=collapse)
+    simulated, program = simulate(loop, 2.0), compile(loop, backend=backend)
     assert np.ptp(simulated["rooted.x"]) > 0.1
     assert np.ptp(simulated["rooted.steps"]) > 0.0
     rooted, start = vars(loop.blocks["rooted"]), loop.init()

@@ -1,4 +1,4 @@
-"""Tracing: linear substeps collapse, what cannot be traced is named with the way out."""
+"""Tracing: what cannot be traced is named with the way out."""
 
 import math
 
@@ -6,20 +6,8 @@ import numpy as np
 import pytest
 
 from steerkit.compiled import TraceError, compile
-from steerkit.compiled.trace import trace
 from steerkit.diagram.loop import Loop
-from steerkit.diagram.simulation import simulate
-from tests.support.traced_blocks import Decay, Derived, Hardware, decay_loop, oscillating_loop, worst
-
-
-def test_linear_substeps_collapse_to_one_step_matrix() -> None:
-    loop = oscillating_loop()
-    whole = trace(loop)
-    assert whole.instructions > 300
-    assert whole.with_held((4.0,) * len(whole.held)).instructions <= 6  # two rows of two products and a sum
-    log = compile(loop, backend="python", collapse=True).run(5.0)
-    np.testing.assert_allclose(log["oscillator.x"], np.cos(2.0 * log.t), atol=1e-9)
-    assert worst(log, simulate(loop, 5.0)) < 1e-12
+from tests.support.traced_blocks import Decay, Derived, Hardware, decay_loop
 
 
 def test_errors_name_the_block_and_the_way_out() -> None:

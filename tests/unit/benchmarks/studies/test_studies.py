@@ -48,7 +48,7 @@ KEYS = {
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
     "sweep": "best compile_seconds cores drive_seconds gains seconds",
     "throughput": (
-        "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_linear_x batch_x "
+        "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_x "
         "compiled_c_x interpreted_x largest_difference_m simulate_x steps_per_second"
     ),
     "tune_stanley": "plain predicted",
