@@ -31,7 +31,7 @@ def export(
     mcap: Annotated[
         Path | None, typer.Option(help="A log, or a run's last drive, for Foxglove and PlotJuggler.")
     ] = None,
-    csv: Annotated[Path | None, typer.Option(help="The same as a table.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="The same as a table, .csv or .parquet.")] = None,
     layout: Annotated[
         Path | None, typer.Option(help="The layout for --mcap: a .json for Foxglove, an .xml for PlotJuggler.")
     ] = None,
@@ -82,7 +82,7 @@ def _log(source: Path, mcap: Path | None, csv: Path | None) -> dict[str, Any]:
     if mcap is not None:
         done["mcap"] = to_mcap(record, mcap)
     if csv is not None:
-        record.to_csv(csv)
+        record.save(csv)
         done["csv"] = str(csv)
     return done
 

@@ -19,7 +19,7 @@ from steerkit.compiled import TraceError
 from steerkit.diagram.loop import Loop
 from steerkit.plots.style import save
 from steerkit.scenario import drive
-from steerkit.scenario.sweep import USUAL, Sweep
+from steerkit.scenario.sweep import USUAL
 from steerkit.scenario.sweep import sweep as swept
 
 _SET = "NAME=LOW:HIGH:COUNT, NAME=LOW:HIGH:COUNT:log (evenly spaced in log) or NAME=VALUE,VALUE,..."
@@ -66,7 +66,10 @@ def sweep(
     if len(values) <= 2:
         save(found.plot(), place / "sweep.png")
         kept += f"; picture: {place}/sweep.png"
-    console.print(_table(f"{controller} on {scenario.course.name}", found, best))
+    table = Table("best", *found.columns, title=f"{controller} on {scenario.course.name}")
+    for metric, row in best.items():
+        table.add_row(metric, *(f"{value:.4g}" for value in row.values()))
+    console.print(table)
     if not options.quiet:
         console.print(kept, soft_wrap=True, markup=False)
     if options.as_json:
@@ -95,10 +98,3 @@ def _values(text: str, loop: Loop) -> tuple[str, Any]:
             inside, block = f"{inside}.block", block.block
         name = f"{inside}.{name}"
     return name, values
-
-
-def _table(title: str, found: Sweep, best: dict[str, dict[str, float]]) -> Table:
-    table = Table("best", *found.columns, title=title)
-    for metric, row in best.items():
-        table.add_row(metric, *(f"{value:.4g}" for value in row.values()))
-    return table

@@ -94,41 +94,31 @@ class Log(Mapping[str, np.ndarray]):
         frame.attrs["units"] = dict(self.units)
         return frame
 
-    def to_parquet(self, file: str | FilePath) -> None:
-        """Write all columns to a Parquet file, units as field metadata. Needs pyarrow (extra `bench`)."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        columns = self.columns()
-        units = {"t": "s", **self.units}
-        fields = [
-            pa.field(name, pa.from_numpy_dtype(a.dtype), metadata={"unit": units[name.split("[")[0]]})
-            for name, a in columns.items()
-        ]
-        with atomic_write(file) as draft:
-            pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), draft)
-
-    def to_csv(self, file: str | FilePath) -> None:
-        """Write all columns to a CSV file, whole or not at all; units stand in the header: `t [s],car.v [m/s]`."""
-        columns = self.columns()
-        units = {"t": "s", **self.units}
-        head = ",".join(f"{name} [{units[name.split('[')[0]]}]" for name in columns)
-        rows = np.column_stack(list(columns.values()))
-        write_text(file, "\n".join([head, *(",".join(map(repr, row)) for row in rows.tolist()), ""]))
-
     def save(self, file: str | FilePath) -> None:
-        """Write to a file of the kind that its name says: .npz, which `load` reads again, .csv or .parquet.
+        """Write to a file of the kind that its name says, whole or not at all: .npz, which `load` reads again, .csv
+        with units in the header, `t [s],car.v [m/s]`, or .parquet with units as field metadata (extra `bench`).
 
         Raises ValueError for another name.
         """
-        kind = FilePath(file).suffix
+        kind, units = FilePath(file).suffix, {"t": "s", **self.units}
         require(kind in (".npz", ".csv", ".parquet"), "Log.save", f"{file}, expected .npz, .csv or .parquet at its end")
+        if kind == ".npz":
+            texts = np.array([f"{name}\t{self.units[name]}" for name in self.signals])
+            return write_npz(file, {"t": self.t, "units": texts, **self.signals}, compressed=True)
+        columns = {(name, units[name.split("[")[0]]): values for name, values in self.columns().items()}
         if kind == ".csv":
-            return self.to_csv(file)
-        if kind == ".parquet":
-            return self.to_parquet(file)
-        units = np.array([f"{name}\t{self.units[name]}" for name in self.signals])
-        return write_npz(file, {"t": self.t, "units": units, **self.signals}, compressed=True)
+            head = ",".join(f"{name} [{unit}]" for name, unit in columns)
+            rows = np.column_stack(list(columns.values())).tolist()
+            return write_text(file, "\n".join([head, *(",".join(map(repr, row)) for row in rows), ""]))
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        fields = [
+            pa.field(name, pa.from_numpy_dtype(values.dtype), metadata={"unit": unit})
+            for (name, unit), values in columns.items()
+        ]
+        with atomic_write(file) as draft:
+            return pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), draft)
 
     @classmethod
     def load(cls, file: str | FilePath) -> Log:

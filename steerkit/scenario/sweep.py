@@ -18,6 +18,7 @@ from steerkit.diagram.loop import Loop, LoopState
 from steerkit.diagram.simulation import Log
 from steerkit.metrics import TABLE, measures_of_log, of_log
 from steerkit.metrics.drive import Summary
+from steerkit.plots.style import PALETTE, new_figure, styled
 from steerkit.task import DT
 
 if TYPE_CHECKING:
@@ -61,11 +62,34 @@ class Sweep:
 
         return pd.DataFrame(self.columns)
 
+    @styled
     def plot(self) -> Figure:
-        """Metrics over one parameter, or a map of each over two. Raises ValueError for more parameters."""
-        from steerkit.plots.sweep import plot_sweep
+        """A panel a metric over one parameter, or over two with the metric as colour; gaps where it is NaN.
 
-        return plot_sweep(self.values, self.columns, {name: metric.unit for name, metric in METRICS.items()})
+        An axis is logarithmic where its values are evenly spaced in log. Raises ValueError for more parameters.
+        """
+        names, metrics = list(self.values), [name for name in self.columns if name not in self.values]
+        require(len(names) <= 2, "Sweep.plot", f"{len(names)} parameters ({', '.join(names)}), expected one or two")
+        figure, panels = new_figure(len(metrics), height=0.7 + 2.2 * len(metrics))
+        for panel, metric, colour in zip(panels, metrics, [*PALETTE] * len(metrics)):
+            unit = METRICS[metric].unit if metric in METRICS else "1"
+            label = f"{metric} [{unit}]".removesuffix(" [1]")
+            scales = dict(zip(("xscale", "yscale"), map(_scale, self.values.values())))
+            if len(names) == 1:
+                panel.plot(self.values[names[0]], self[metric], "." if len(self[metric]) == 1 else "-", color=colour)
+                panel.set(ylabel=label, **scales)
+            else:
+                table = np.ma.masked_invalid(np.reshape(self[metric], [len(v) for v in self.values.values()]).T)
+                drawn = panel.pcolormesh(*self.values.values(), table, shading="nearest", cmap="viridis_r")
+                figure.colorbar(drawn, ax=panel, label=label)
+                panel.set(ylabel=names[1], **scales)
+        panels[-1].set_xlabel(names[0])
+        return figure
+
+
+def _scale(values: np.ndarray) -> str:
+    even = len(values) > 2 and min(values) > 0.0 and np.ptp(np.diff(np.log(values))) < 1e-6
+    return "log" if even else "linear"
 
 
 def sweep(

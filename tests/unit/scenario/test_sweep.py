@@ -11,7 +11,6 @@ from steerkit.compiled import TraceError
 from steerkit.diagram.simulation import Log
 from steerkit.metrics import measures_of_log
 from steerkit.plants.speed_driver import ConstantSpeed
-from steerkit.plots.sweep import plot_sweep
 from steerkit.scenario.sweep import sweep
 
 PASSAT, PATH = steerkit.vehicle("vw-passat"), steerkit.course("circle")
@@ -84,4 +83,4 @@ def test_three_parameters_have_a_table_and_no_picture() -> None:
     found = sweep(loop_of(), values, 1.0, ["rms_e"])
     assert found.frame().shape == (8, 4)
     with pytest.raises(ValueError, match="expected one or two"):
-        plot_sweep(found.values, found.columns, {})
+        found.plot()
