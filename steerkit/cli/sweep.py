@@ -92,9 +92,10 @@ def _values(text: str, loop: Loop) -> tuple[str, Any]:
         require(equals and name and len(values) and np.isfinite(values).all(), "", "")
     except ValueError:
         raise ValueError(f"--set {text}: expected {_SET}") from None
-    if name.partition(".")[0] not in loop.names:  # a field of the controller, or of the one that it wraps
-        inside, block = "controller", loop.blocks["controller"]
-        while name.partition(".")[0] not in block.__dataclass_fields__ and hasattr(block, "block"):
-            inside, block = f"{inside}.block", block.block
-        name = f"{inside}.{name}"
+    field = name.partition(".")[0]
+    if field not in loop.names:  # one of the controller, or of the one that it wraps
+        inside, block = ["controller"], loop.blocks["controller"]
+        while field not in block.__dataclass_fields__ and hasattr(block, "block"):
+            inside, block = [*inside, "block"], block.block
+        name = ".".join([*(inside if field in block.__dataclass_fields__ else inside[:1]), name])
     return name, values

@@ -103,6 +103,9 @@ class Compiled:
             known = {name: value for name, value in (parameters or {}).items() if name in values}  # not the tuples
             state = with_parameters(self.loop, known).init(batch=cars)
         slots = self.trace.layout.pack(state.x, state.y)
+        if len(slots) != len(self.trace.layout):
+            what = f"a state of {len(slots)} numbers, the compiled loop has {len(self.trace.layout)}"
+            raise ValueError(f"run: {what}; a parameter that decides how many there are cannot be left open")
         cars = _cars({"state": next((v for v in slots if np.ndim(v)), 0.0)} | values, cars)
         stop = state.k + max(1, round(duration / self.loop.dt))
         n = 1 if cars is None else cars

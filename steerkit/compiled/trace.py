@@ -97,15 +97,24 @@ class Trace:
         return next(number for number, (_, phases) in enumerate(self.kinds) if phase in phases)
 
     @functools.cached_property
+    def read(self) -> set[int]:
+        """The inputs that any tick reads: 0 is the tick, then come the slots, then the parameters."""
+        nodes = [tick.graph.nodes[i] for tick, _ in self.kinds for i in tick.graph.order(tick.roots)]
+        return {operands[0] for op, *operands in nodes if op == "in"}
+
+    @functools.cached_property
     def persistent(self) -> list[int]:
         """The slots whose old values any tick reads, so that they go from tick to tick."""
-        nodes = [tick.graph.nodes[i] for tick, _ in self.kinds for i in tick.graph.order(tick.roots)]
-        return sorted({slot - 1 for op, slot, *_ in nodes if op == "in" and 0 < slot <= len(self.layout)})
+        return sorted(slot - 1 for slot in self.read if 0 < slot <= len(self.layout))
+
+    @property
+    def unread(self) -> list[str]:
+        """The parameters that no tick reads: they can only change the start."""
+        return [name for i, name in enumerate(self.parameters, 1 + len(self.layout)) if i not in self.read]
 
     def require_timeless(self, where: str) -> None:
         """Raise ValueError if a block depends on the time t, which cars that start anew one by one do not share."""
-        nodes = [tick.graph.nodes[i] for tick, _ in self.kinds for i in tick.graph.order(tick.roots)]
-        if any(op == "in" and operands[0] == 0 for op, *operands in nodes):
+        if 0 in self.read:
             what = "depends on the time t, which cars that start anew one by one do not share; valid: backend python"
             raise ValueError(f"{where}: a block of {self.loop!r} {what}")
 

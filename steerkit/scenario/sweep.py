@@ -112,7 +112,8 @@ def sweep(
     distance: what `path.progress` is when a drive is over [m], if that is before `seconds`; for an open course.
     backend: as for `compile`. progress: show a bar on the terminal.
 
-    Raises ValueError for values that the block refuses, an unknown metric or a bad duration, and what `compile` does.
+    Raises ValueError for values that the block refuses or that change nothing in this loop, an unknown metric or a bad
+    duration, and what `compile` does.
     """
     require(values, "sweep", "no parameters; expected such as {'controller.k': [0.5, 1.0, 2.0]}")
     points = {name: np.atleast_1d(np.asarray(given, dtype=float)) for name, given in values.items()}
@@ -127,6 +128,11 @@ def sweep(
     signals = dict.fromkeys([*_SIGNALS * bool(named), *["path.progress"] * math.isfinite(distance), *record])
     grid = {name: a.ravel() for name, a in zip(points, np.meshgrid(*points.values(), indexing="ij"))}
     ready = compile(loop, backend=backend, record=[*signals], every=max(1, round(DT / loop.dt)), parameters=[*points])
+    for name in ready.trace.unread:
+        starts = [with_parameters(loop, {name: v}).init() for v in np.unique(points[name])[[0, -1]].tolist()]
+        low, high = (ready.trace.layout.pack(start.x, start.y) for start in starts)
+        what = "no equation of the loop reads it: it was used when the loop was made; make a loop for each value"
+        require(low != high or points[name].min() == points[name].max(), "sweep", f"{name}: {what}")
     rows = []
     for first in shown(range(0, len(next(iter(grid.values()))), _CARS), "sweep" * progress):
         cars = {name: column[first : first + _CARS] for name, column in grid.items()}
@@ -151,6 +157,8 @@ def _start(loop: Loop, cars: Mapping[str, np.ndarray]) -> LoopState:
             for field, value in zip(own, row):
                 one = replaced(one, field.split(".")[1:], value, field)
             each.append(one.init())
+            size = f"{', '.join(own)}: the state of {name} has {len(each[0])} or {len(each[-1])} numbers by its value"
+            require(len(each[0]) == len(each[-1]), "sweep", f"{size}; make a loop for each value")
         states.append(state_like(each[0], map(np.array, zip(*each))) if own else each[0])
     return with_parameters(loop, dict(cars)).init(x=states)
 

@@ -21,6 +21,7 @@ def loop_of(**gains: float) -> steerkit.Loop:
         car=steerkit.placed(steerkit.NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), PATH, e=0.3),
         path=PATH,
         driver=ConstantSpeed(speed=5.0),
+        actuator=steerkit.SteeringActuator(),
         controller=replace(steerkit.Stanley.of(PASSAT), **gains),
         reference=PASSAT.l_f,
     )
@@ -69,6 +70,8 @@ def test_a_drive_is_over_when_it_has_gone_the_distance() -> None:
         ({"controller.k": [1.0, np.nan]}, ["rms_e"], r"expected finite numbers \(n,\)"),
         ({"controller.k": [1.0, -1.0]}, ["rms_e"], r"Stanley: k = -1.0 \[1/s\], expected >= 0"),
         ({"controller.gain": [1.0]}, ["rms_e"], "Stanley has no field 'gain'"),
+        ({"controller.reference": [1.0, 2.0]}, ["rms_e"], "no equation of the loop reads it"),
+        ({"actuator.delay": [0.0, 0.1]}, ["rms_e"], "actuator.delay: the state of actuator has 2 or 12 numbers"),
         ({"car.vehicle": [1.0]}, ["rms_e"], "a field that holds one number"),
         ({"controller.k": [1.0]}, ["rms"], "did you mean 'rms_e'"),
     ],
@@ -76,6 +79,16 @@ def test_a_drive_is_over_when_it_has_gone_the_distance() -> None:
 def test_what_cannot_be_swept_is_refused(values: Any, metrics: Any, says: str) -> None:
     with pytest.raises((ValueError, TraceError), match=says):
         sweep(loop_of(), values, 1.0, metrics)
+
+
+def test_a_parameter_of_the_start_alone_is_swept_too() -> None:
+    loop = loop_of()
+    found = sweep(loop, {"car.v0": [4.0, 6.0]}, 1.0, [wheel_at_the_end], record=["car.delta_sw"])
+    for v0, wheel in zip(found["car.v0"].tolist(), found["wheel_at_the_end"]):
+        car = replace(loop.blocks["car"], v0=v0)  # type: ignore[call-arg]
+        log = steerkit.simulate(loop.with_block("car", car), 1.0, every=5)
+        assert wheel == pytest.approx(wheel_at_the_end(log), rel=1e-9)
+    assert np.ptp(found["wheel_at_the_end"]) > 1e-4
 
 
 def test_three_parameters_have_a_table_and_no_picture() -> None:
