@@ -124,6 +124,10 @@ def sweep(
         single = isinstance(present, float | int) and not isinstance(present, bool)
         require(single, "sweep", f"{name} = {present!r:.60}, expected the name of a field that holds one number")
     named = [known(metric, METRICS, "metric") for metric in metrics if isinstance(metric, str)]
+    names = [metric if isinstance(metric, str) else getattr(metric, "__name__", repr(metric)) for metric in metrics]
+    require(
+        names and len({*names, *points}) == len(names) + len(points), "sweep", f"metrics {names}, expected other names"
+    )
     quick = {*named} <= {*Summary.__dataclass_fields__}
     signals = dict.fromkeys([*_SIGNALS * bool(named), *["path.progress"] * math.isfinite(distance), *record])
     grid = {name: a.ravel() for name, a in zip(points, np.meshgrid(*points.values(), indexing="ij"))}
@@ -142,7 +146,6 @@ def sweep(
             if named:
                 measured = vars(of_log(one)) if quick else measures_of_log(one)
             rows.append([measured[metric] if isinstance(metric, str) else metric(one) for metric in metrics])
-    names = [metric if isinstance(metric, str) else metric.__name__ for metric in metrics]
     return Sweep(points, grid | dict(zip(names, np.array(rows, dtype=float).T)))
 
 
@@ -169,4 +172,4 @@ def _apart(log: Log, distance: float) -> Iterator[Log]:
     for car in range(len(next(iter(by_car.values()), ()))):
         there = by_car["path.progress"][car] >= distance if math.isfinite(distance) else np.zeros(1)
         end = int(there.argmax()) + 1 if there.any() else None
-        yield Log(log.t[:end], {name: values[car, ..., :end] for name, values in by_car.items()}, log.units)
+        yield Log(log.t[:end], {name: values[car, :end] for name, values in by_car.items()}, log.units)

@@ -31,6 +31,10 @@ def wheel_at_the_end(log: Log) -> float:
     return float(log["car.delta_sw"][-1])
 
 
+def samples(log: Log) -> float:
+    return float(len(log.t))
+
+
 @pytest.mark.parametrize("backend", ["python", "c"])
 def test_every_combination_is_the_drive_of_a_loop_of_its_own(backend: Any) -> None:
     values = {"controller.k": [0.5, 1.0, 4.0], "controller.k_d_yaw": [0.0, 0.3]}
@@ -58,8 +62,10 @@ def test_a_car_that_is_lost_has_gaps_and_is_never_the_best() -> None:
 def test_a_drive_is_over_when_it_has_gone_the_distance() -> None:
     whole = steerkit.simulate(loop_of(), 10.0, every=5)
     there = int((whole["path.progress"] >= 20.0).argmax())
-    found = sweep(loop_of(), {"controller.k": [2.5]}, 10.0, [wheel_at_the_end], record=["car.delta_sw"], distance=20.0)
+    values, signals = {"controller.k": [2.5, 3.0]}, ["car.delta_sw", "path.progress"]
+    found = sweep(loop_of(), values, 10.0, [wheel_at_the_end, samples], record=signals, distance=20.0)
     assert found["wheel_at_the_end"][0] == pytest.approx(whole["car.delta_sw"][there], rel=1e-9)
+    assert found["samples"][0] == there + 1
 
 
 @pytest.mark.parametrize(
@@ -73,6 +79,8 @@ def test_a_drive_is_over_when_it_has_gone_the_distance() -> None:
         ({"controller.reference": [1.0, 2.0]}, ["rms_e"], "no equation of the loop reads it"),
         ({"actuator.delay": [0.0, 0.1]}, ["rms_e"], "actuator.delay: the state of actuator has 2 or 12 numbers"),
         ({"car.vehicle": [1.0]}, ["rms_e"], "a field that holds one number"),
+        ({"controller.k": [1.0]}, [], "expected other names"),
+        ({"controller.k": [1.0]}, [lambda log: 1.0, lambda log: 2.0], "expected other names"),
         ({"controller.k": [1.0]}, ["rms"], "did you mean 'rms_e'"),
     ],
 )
