@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from pathlib import Path as FilePath
 from typing import Any
 
 import casadi
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from steerkit._support.errors import require
 from steerkit.controllers.lqr import cost_to_go
 from steerkit.diagram import maths as m
 
@@ -59,6 +61,8 @@ class PathModel:
 
     def motion(self, z: Sequence[Any], delta_sw: Any, v: Any, kappa: Any) -> tuple[Any, ...]:
         """(e, psi_e, sway, r)', and the speed along the path's tangent [m/s]."""
+        if m.is_symbol(v):
+            _ = self._same_on_symbols
         e, psi_e, sway, r = z
         x, y, psi, sway_dot, r_dot = self.law.rhs((0.0 * e, e, psi_e, sway, r), delta_sw / self.law.steer_ratio, v)
         along = x - self.law.reference * psi * m.sin(psi_e)
@@ -76,6 +80,24 @@ class PathModel:
         x, v, kappa = casadi.SX.sym("x", 5), casadi.SX.sym("v"), casadi.SX.sym("k")
         motion = casadi.vertcat(*self.motion([x[i] for i in range(4)], x[4], v, kappa)[:4])
         return casadi.Function("field", [x, v, kappa], [motion, casadi.jacobian(motion, x)])
+
+    @cached_property
+    def _same_on_symbols(self) -> bool:
+        """Raises ValueError for an rhs that fails on CasADi's symbols, or gives something else on them than on numbers,
+        as one does with `math`, which takes a symbol for a NaN."""
+        rhs, x, u, point = self.law.rhs, casadi.SX.sym("x", 5), casadi.SX.sym("u", 2), (0.0, 0.02, -0.03, 0.01, 0.05)
+        try:
+            made = casadi.Function("rhs", [x, u], [casadi.vertcat(*rhs(casadi.vertsplit(x), u[0], u[1]))])
+            found, numbers = made(point, (0.02, 6.0)).full()[:, 0], np.array(rhs(point, 0.02, 6.0), dtype=float)
+            same = found.shape == numbers.shape and np.allclose(found, numbers, rtol=1e-9, atol=1e-9)
+            wrong = "" if same else f"gives {found} on symbols, {numbers} on numbers"
+        except (TypeError, ValueError, RuntimeError) as error:
+            wrong = f"cannot be run on symbols: {' '.join(str(error).split())[:150]}"
+        code = getattr(rhs, "__code__", None)
+        place = f" (line {code.co_firstlineno} of {FilePath(code.co_filename).name})" if code else ""
+        cure = "write it with steerkit.diagram.maths and arithmetic: no math.*, no numpy, m.where instead of `if`"
+        require(not wrong, type(self.law).__name__, f"rhs{place} {wrong}; {cure}")
+        return True
 
     def stepped(self, x: Any, command: Any, v: Any, kappa: Any, h: Any, steps: int) -> tuple[Any, Any]:
         """(e, psi_e, sway, r, wheel) some steps of `h` [s] later, and its slope (5, 6) in these five and the command.

@@ -405,3 +405,26 @@ def test_a_copy_of_one_in_use_drives_the_same(copied: Any) -> None:
     assert "programme" not in vars(again)
     assert driven(again, [u])[0] == y
     assert driven(block, [u])[0] == y
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (lambda rate: 0.0 * math.sin(rate), r"gives \[.*nan\] on symbols, \[.*\] on numbers"),
+        (lambda rate: 0.1 if rate > 1.0 else 0.0, "cannot be run on symbols: .*truth value"),
+        (lambda rate: np.zeros(2), "cannot be run on symbols"),
+        (lambda rate: 0.1 * isinstance(rate, float), r"gives \[.*\] on symbols, \[.*\] on numbers"),
+    ],
+)
+@pytest.mark.parametrize("kind", [MPC, NonlinearMPC])
+def test_a_model_that_is_another_one_on_symbols_is_refused_with_its_line(kind: Any, wrong: Any, says: str) -> None:
+    plant: Any = CAR
+
+    def own(x: Any, delta: Any, v: Any) -> Any:
+        *others, r_dot = plant.rhs(x, delta, v)
+        return *others, r_dot + wrong(x[4])
+
+    block = replace(kind.of(plant), rhs=own)
+    line = own.__code__.co_firstlineno
+    with pytest.raises(ValueError, match=rf"{kind.__name__}: rhs \(line {line} of test_block.py\) {says}.*m.where"):
+        simulate(loop_of(block), 0.1)
