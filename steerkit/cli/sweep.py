@@ -49,6 +49,7 @@ def sweep(
     scenario = scenario_of(ctx)
     loop = drive.drive_loop(scenario, drive.controller(controller, scenario), seed=options.seed)
     values = dict(_values(text, loop) for text in parameters)
+    require(len(values) == len(parameters), "--set", f"a name stands twice in {', '.join(parameters)}")
     console.stderr = options.as_json
     try:
         lasts, show = seconds or scenario.seconds, not options.quiet
@@ -59,22 +60,27 @@ def sweep(
     default = f"sweep-{Path(controller).name.replace(':', '-')}-{driven_on(scenario, options.conditions)}"
     place = out or Path("runs") / f"{default}-seed{options.seed}"
     place.mkdir(parents=True, exist_ok=True)
-    rows = np.column_stack(list(found.columns.values())).tolist()
-    lines = [",".join(found.columns), *(",".join(map(repr, row)) for row in rows)]
+    table = np.column_stack(list(found.columns.values())).tolist()
+    lines = [",".join(found.columns), *(",".join(map(repr, row)) for row in table)]
     write_text(place / "sweep.csv", "\n".join([*lines, ""]))
-    kept = f"{len(rows)} drives: {place}/sweep.csv"
+    kept = f"{len(table)} drives: {place}/sweep.csv"
     if len(values) <= 2:
         save(found.plot(), place / "sweep.png")
         kept += f"; picture: {place}/sweep.png"
-    table = Table("best", *found.columns, title=f"{controller} on {scenario.course.name}")
+    shown = Table("best", *found.columns, title=f"{controller} on {scenario.course.name}")
     for metric, row in best.items():
-        table.add_row(metric, *(f"{value:.4g}" for value in row.values()))
-    console.print(table)
+        shown.add_row(metric, *(f"{value:.4g}" for value in row.values()))
+    console.print(shown)
     if not options.quiet:
         console.print(kept, soft_wrap=True, markup=False)
     if options.as_json:
-        columns = {name: [x if math.isfinite(x) else None for x in column] for name, column in found.columns.items()}
-        print(json.dumps({"controller": controller, "best": best, "columns": columns}))
+        columns = {name: [*map(_plain, column.tolist())] for name, column in found.columns.items()}
+        rows = {metric: {name: _plain(x) for name, x in row.items()} for metric, row in best.items()}
+        print(json.dumps({"controller": controller, "best": rows, "columns": columns}, allow_nan=False))
+
+
+def _plain(number: float) -> float | None:
+    return number if math.isfinite(number) else None
 
 
 def _values(text: str, loop: Loop) -> tuple[str, Any]:

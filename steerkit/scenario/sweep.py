@@ -29,8 +29,8 @@ METRICS = {metric.name: metric for metric in TABLE if metric.group in ("tracking
 """The metrics that a sweep knows by name."""
 USUAL = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y")
 _SIGNALS = ("path.e", "path.psi_e", "car.delta_sw", "car.a_y")
-_CARS = 512
-"""Cars of a batch: as many drives are in memory at once."""
+_SAMPLES = 1e6
+"""Samples of a batch: as many of each signal are in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -134,12 +134,14 @@ def sweep(
     ready = compile(loop, backend=backend, record=[*signals], every=max(1, round(DT / loop.dt)), parameters=[*points])
     for name in ready.trace.unread:
         starts = [with_parameters(loop, {name: v}).init() for v in np.unique(points[name])[[0, -1]].tolist()]
-        low, high = (ready.trace.layout.pack(start.x, start.y) for start in starts)
+        low, high = (np.array(ready.trace.layout.pack(start.x, start.y), dtype=float) for start in starts)
         what = "no equation of the loop reads it: it was used when the loop was made; make a loop for each value"
-        require(low != high or points[name].min() == points[name].max(), "sweep", f"{name}: {what}")
+        same = np.ptp(points[name]) > 0.0 and np.array_equal(low, high, equal_nan=True)
+        require(not same, "sweep", f"{name}: {what}")
     rows = []
-    for first in shown(range(0, len(next(iter(grid.values()))), _CARS), "sweep" * progress):
-        cars = {name: column[first : first + _CARS] for name, column in grid.items()}
+    size = max(8, int(_SAMPLES * DT / seconds)) if seconds > 0.0 else 8
+    for first in shown(range(0, len(next(iter(grid.values()))), size), "sweep" * progress):
+        cars = {name: column[first : first + size] for name, column in grid.items()}
         log = ready.run(seconds, state=_start(loop, cars), parameters=cars, allow_nonfinite=True)
         for one in _apart(log, distance):
             measured: dict[str, float] = {}
