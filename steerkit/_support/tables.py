@@ -35,12 +35,13 @@ def text_table(lines: Iterable[str], where: str) -> TextTable:
     numbered = ((k, line.strip("\r\n")) for k, line in enumerate(lines, 1) if line.strip())
     comments, first, number = list[str](), "", 0
     for number, first in numbered:  # noqa: B007
-        if not first.lstrip().startswith("#"):
+        if not first.lstrip().startswith(("#", "sep=")):  # Excel's word on what parts its columns
             break
         comments.append(first.lstrip(" \t#"))
     else:
         first = ""
     require(first, where, "no rows under a row of names, such as 'x,y' or 't,v'")
+    require("\0" not in first, where, "holds NUL bytes: UTF-16 without its mark, or binary; save it as UTF-8")
     mark = max(";\t,|", key=lambda c: (first.count(c), c == ";"))
     mark = mark if mark in first else " "
     names = [name.strip() for name in cells_of(first, mark)]
@@ -55,7 +56,11 @@ def text_table(lines: Iterable[str], where: str) -> TextTable:
         next(rows)
     return TextTable(
         names,
-        ((k, line, _numbers(cells_of(line, mark), mark)) for k, line in rows if not line.lstrip().startswith("#")),
+        (  # to Python 1_5 would be 15
+            (k, line, _numbers(cells_of(line.replace("_", "?"), mark), mark))
+            for k, line in rows
+            if not line.lstrip().startswith("#")
+        ),
     )
 
 

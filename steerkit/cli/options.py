@@ -207,7 +207,7 @@ def _speeds(speed: str, v_max: float | None, base: Scenario | None) -> dict[str,
         steady = float(speed)
     except ValueError:
         fields: dict[str, Any] = {"speed": speed}
-        if speed.endswith(".csv"):
+        if speed.lower().endswith(".csv"):
             _, v = speed_file(speed)
             fields |= {"v_min": min(driver.v_min, float(v.min())), "v_max": max(driver.v_max, float(v.max()))}
         if v_max is not None:

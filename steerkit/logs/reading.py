@@ -314,6 +314,8 @@ def _channels(table: Table, time: Column | None, where: str) -> Iterable[Channel
         column = Column(clock) if time is None or time.name != clock else time
         column = replace(column, unit=column.unit or table.units.get(clock, ""))
         t = column.in_si("t", table.columns[clock], where)
+        rises = bool((t[np.isfinite(t)] != t[np.isfinite(t)][:1]).any())
+        require(rises, where, f"column {clock} holds no times that rise, expected numbers or 2026-11-26T10:00:00.5")
     for name, values in table.columns.items():
         if name != clock:
             numbers = np.asarray(values, dtype=float)

@@ -64,6 +64,7 @@ def _named(names: list[str], where: str) -> list[tuple[str, float]]:
         )
         if k >= 0:
             called[k], meant[k] = short, quantity
+    require(len(set(called)) == len(called), where, f"two columns of one name: {', '.join(names)}")
     return [(name, _factor(meant[k], *parts[k], where)) for k, name in enumerate(called)]
 
 

@@ -105,7 +105,7 @@ class Part:
     def _keep_file(self, suffix: str) -> None:
         """Read the file that is named, unless its text is known, and keep the text and the name without folders."""
         given, text = str(getattr(self, self.file)), getattr(self, "text")  # noqa: B009
-        if text is None and given.endswith(suffix):
+        if text is None and given.lower().endswith(suffix):
             try:
                 object.__setattr__(self, "text", read_text(FilePath(given), self.table, latin=suffix == ".csv"))
             except OSError as error:

@@ -301,7 +301,8 @@ def read_scenario(file: str | FilePath) -> Scenario:
             given = table[key] = {"name": given}
         if isinstance(given, dict) and part.file in given and "text" not in given:
             name = given[part.file]
-            if isinstance(name, str) and (name.endswith((".csv", ".toml")) or (key == "course" and is_road(name))):
+            own = isinstance(name, str) and name.lower().endswith((".csv", ".toml"))
+            if own or (key == "course" and isinstance(name, str) and is_road(name)):
                 given[part.file] = str(place.parent / name)
     with named_in(f"{file}"):
         return of_table(table, f"{file}")

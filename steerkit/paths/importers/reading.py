@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import known, require
-from steerkit._support.files import opened, read_text
+from steerkit._support.files import opened
 from steerkit.paths.importers import lanelets, tracks
 from steerkit.paths.importers.course import TIGHTEST, Course, Line, along, course_of, laid
 from steerkit.paths.importers.network import Map, Piece
@@ -132,10 +132,7 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
 
 def _exact(file: str, closed: bool | None) -> Course:
     """The course through the points of a CSV file."""
-    try:
-        text = read_text(file, "course", latin=True)
-    except OSError as error:
-        raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
+    text = tracks.text_of(file)
     path = course_of(text, FilePath(file).name, closed=closed)
     columns = read_columns(text, file)
     s = travelled(placed(columns, file)[0])
@@ -194,6 +191,7 @@ class Address:
             require(key not in values, f"'{text}'", f"{key} stands twice")
             values[key] = value
         kind = FilePath(file).suffix.lower()
+        require(not kind.startswith(".xls"), file, "an Excel workbook; save its sheet as CSV (UTF-8)")
         known(kind or "none", KINDS, "a course's file: ending")
         for key in values:
             known(key, (*CHOICES[KINDS[kind]], *_SETTINGS), f"'{text}': {KINDS[kind]} key")
@@ -222,7 +220,8 @@ class Address:
 
 def is_file(name: str) -> bool:
     """Does a course's name mean a file?"""
-    return FilePath(name.partition("#")[0]).suffix.lower() in KINDS
+    ending = FilePath(name.partition("#")[0]).suffix.lower()
+    return ending in KINDS or ending.startswith(".xls")  # which `Address` refuses
 
 
 def is_road(name: str) -> bool:

@@ -177,12 +177,17 @@ def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Tra
     return made
 
 
-def csv(file: str) -> list[Track]:
-    """The points of a CSV file with columns x, y [m] or lat, lon [degrees], and t [s], v [m/s] where there are any."""
+def text_of(file: str) -> str:
+    """The text of a CSV file; raises ValueError for one that cannot be read, or holds none."""
     try:
-        text = read_text(file, "course", latin=True)
+        return read_text(file, "course", latin=True)
     except OSError as error:
         raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
+
+
+def csv(file: str) -> list[Track]:
+    """The points of a CSV file with columns x, y [m] or lat, lon [degrees], and t [s], v [m/s] where there are any."""
+    text = text_of(file)
     columns = read_columns(text, file)
     flat = {"x", "y"} <= columns.keys()
     require(flat or {"lat", "lon"} <= columns.keys(), file, f"columns {', '.join(columns)}; valid: x, y or lat, lon")

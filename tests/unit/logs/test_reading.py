@@ -207,7 +207,7 @@ def test_the_road_wheels_angle_is_said_to_be_one(clean: dict[str, Any], tmp_path
 
 
 def test_a_unit_that_is_none_of_the_quantity_teaches(clean: dict[str, Any], tmp_path: Path) -> None:
-    rows = ["t,delta_sw,v [rpm],r", *("0,0,0,0" for _ in range(5))]
+    rows = ["t,delta_sw,v [rpm],r", *(f"{k},0,0,0" for k in range(5))]
     (tmp_path / "a.csv").write_text("\n".join(rows))
     with pytest.raises(ValueError, match="which column is v"):
         read_drive(tmp_path / "a.csv")
@@ -272,7 +272,8 @@ def test_tables_as_others_write_them_are_one_log(tmp_path: Path) -> None:
     frame.to_csv(tmp_path / "plain.csv", index=False)
     plain = read_drive(tmp_path / "plain.csv")
     assert plain.v.mean() == pytest.approx(10.0)
-    for name in ("german", "wide", "iso", "numpy", "own_rows"):
+    (tmp_path / "excel.csv").write_text("sep=;\n" + (tmp_path / "german.csv").read_text())
+    for name in ("german", "wide", "iso", "numpy", "own_rows", "excel"):
         drive = read_drive(tmp_path / f"{name}.csv", dt=plain.dt)
         n = min(len(drive.v), len(plain.v)) - 2
         assert n > 500, name

@@ -1,5 +1,6 @@
 """From a file to a drive, and what becomes of files that are damaged."""
 
+import json
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path as FilePath
@@ -8,13 +9,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.paths.courses import course
 from steerkit.paths.importers import Address, Line, contents, is_road, read_course
 from steerkit.paths.importers.reading import chosen
 from steerkit.paths.path import Path
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive
+from steerkit.scenario.scenario import read_scenario
 from tests.support import road_files
+from tests.support.command_lines import run
 from tests.unit.paths.importers.test_lanelets import lanelet, osm_file, relation, scenario, way
 
 
@@ -240,3 +244,35 @@ def test_a_table_that_says_too_little_asks(tmp_path: FilePath) -> None:
     file.write_text("x [ft],y [ft]\n0,0\n1,0\n")
     with pytest.raises(ValueError, match=r"column x: unit 'ft'; valid: m, km, cm, mm"):
         course(str(file))
+
+
+FIGURES = {"YARD.CSV": ("X [m];pos_y [m]", False), "ring.csv": ("x,y", True), "gps.csv": ("Latitude\tlng", False)}
+"""Files to their first row, and whether their course is closed."""
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_preview_drive_learning_and_scenario_files_have_one_course(
+    name: str, tmp_path: FilePath, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sampled along it, to the bit: what `steerkit courses` writes down of a file, and where cars are put."""
+    monkeypatch.chdir(tmp_path)
+    head, closed = FIGURES[name]
+    u = np.linspace(0.0, (2.0 if closed else 1.7) * np.pi, 120)[: -1 if closed else None]
+    points = np.column_stack((40.0 * np.cos(u), 25.0 * np.sin(u)))
+    points = np.array([52.28, 8.02]) + points / 1e5 if "Lat" in head else points
+    mark = next(sign for sign in ";\t," if sign in head)
+    FilePath(name).write_text("\n".join([head, *(f"{a:.7f}{mark}{b:.7f}" for a, b in points)]) + "\n")
+    FilePath("mine.toml").write_text(f'format = "steerkit scenario 2"\n[course]\nname = "{name}"\n')
+    assert run("courses", name, "--json", monkeypatch=monkeypatch) == 0
+    shown = json.loads(capsys.readouterr().out)
+    paths = {
+        "drive": Scenario(course=name).path(),
+        "learn": LearningRun(Experiment(scenario=Scenario(course=name))).path,
+        "file": read_scenario("mine.toml").path(),
+        "python": course(name),
+    }
+    s = np.linspace(0.0, shown["length_m"], 50)
+    for user, path in paths.items():
+        assert (path.length, path.closed) == (shown["length_m"], closed), user
+        assert np.array_equal(path.point(s), paths["drive"].point(s)), user
+        assert 1.0 / np.abs(path.samples.kappa).max() == shown["tightest_radius_m"], user
