@@ -16,6 +16,7 @@ import steerkit
 COMMANDS = {
     "courses": ("steerkit.cli.lists", "List the courses; or what a map's FILE holds, and make a course of it."),
     "vehicles": ("steerkit.cli.lists", "List the cars: those by name, and the fleet of production cars."),
+    "new": ("steerkit.cli.new", "Write a controller, vehicle, course, plant or scenario to begin with."),
     "drive": ("steerkit.cli.drive", "Drive with any controller: a course in simulation, or with --car FILE a car."),
     "sweep": ("steerkit.cli.sweep", "Drive with hundreds of values of a controller's or a car's parameters at once."),
     "learn": ("steerkit.cli.learn", "Let a car learn to steer a course from nothing."),

@@ -1,0 +1,38 @@
+"""`steerkit new`: files to begin with."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from steerkit._support.errors import known, require
+from steerkit._support.files import write_text
+
+_FILES = {
+    "controller": ("controller.py.txt", "steerkit drive {0}:make stanley"),
+    "vehicle": ("vehicle.toml", "steerkit drive stanley --vehicle {0}"),
+    "course": ("course.csv", "steerkit courses {0}"),
+    "plant": (
+        "plant.py.txt",
+        "name it in a scenario (steerkit new scenario), and: steerkit --code {0} drive stanley --scenario FILE",
+    ),
+    "scenario": ("scenario.toml", "steerkit drive stanley --scenario {0}"),
+}
+"""By kind: its file among the templates, and what to call with it."""
+
+
+def new(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help=f"One of {', '.join(_FILES)}.")],
+    out: Annotated[Path | None, typer.Option(help="Where to write it (my_KIND, with its ending).")] = None,
+) -> None:
+    """Write a controller, vehicle, course, plant or scenario that works as it is, to be changed into your own."""
+    name, after = _FILES[known(kind, _FILES, "new")]
+    ending = Path(name.removesuffix(".txt")).suffix
+    place = out or Path(f"my_{kind}{ending}")
+    require(place.suffix == ending, f"--out {place}", f"a {kind}'s file ends in {ending}")
+    require(not place.exists(), str(place), "is there already and is left as it is; another name: --out")
+    write_text(place, (files("steerkit.cli") / "templates" / name).read_text(encoding="utf-8"))
+    print(f"wrote {place}; next: {after.format(place)}")
