@@ -129,9 +129,11 @@ class DelayCompensator:
 
     def __post_init__(self) -> None:
         where, samples, trust = "DelayCompensator", self.samples, self.trust
-        whole = m.is_symbol(samples) or (isinstance(samples, int) and 0 <= samples <= LONGEST)
-        require(whole, where, f"samples = {samples!r}, expected 0 to {LONGEST}")
-        require(m.is_symbol(trust) or 0.0 < trust <= 1.0, where, f"trust = {trust}, expected 0 < trust <= 1")
+        if not m.is_symbol(samples):
+            whole = isinstance(samples, int) and 0 <= samples <= LONGEST
+            require(whole, where, f"samples = {samples!r}, expected 0 to {LONGEST}")
+        if not m.is_symbol(trust):
+            require(0.0 < trust <= 1.0, where, f"trust = {trust}, expected 0 < trust <= 1")
 
     @property
     def numbers(self) -> tuple[Any, ...]:

@@ -1,6 +1,6 @@
 """Built-in courses by name, courses from files, and courses by formula.
 
-`course(name)` gives one of `names()`, `course_of(text, name)` one from a CSV file; `circle`, `straight`,
+`course(name)` gives one of `names()`, or that of a file; `circle`, `straight`,
 `figure_eight`, `random_course`, `bends`, `lane_change`, `slalom` and `curvature_step` make others.
 """
 
@@ -31,8 +31,6 @@ from steerkit.paths.courses.shapes import (
     slalom,
     straight,
 )
-from steerkit.paths.importers.course import course_of
-from steerkit.paths.importers.reading import KINDS, is_file, read_course
 from steerkit.paths.path import Array, Path
 from steerkit.paths.waypoints import read_columns
 
@@ -40,7 +38,6 @@ __all__ = [
     "bends",
     "circle",
     "course",
-    "course_of",
     "curvature_step",
     "figure_eight",
     "lane_change",
@@ -70,9 +67,13 @@ def course(name: str) -> Path:
 
     Raises ValueError for another name, with the nearest one, and for a file of which no course can be made.
     """
-    if is_file(name):
-        return read_course(name).path
-    return _built_in(known(name, _COURSES, "course", also=f"FILE{', '.join(KINDS)}"))
+    if name not in _COURSES:
+        from steerkit.paths.importers.reading import KINDS, is_file, read_course  # a car's server does without
+
+        if is_file(name):
+            return read_course(name).path
+        known(name, _COURSES, "course", also=f"FILE{', '.join(KINDS)}")
+    return _built_in(name)
 
 
 @cache
