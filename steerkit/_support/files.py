@@ -12,7 +12,7 @@ import sys
 import threading
 import tomllib
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path as FilePath
 from typing import IO, Any
@@ -110,6 +110,12 @@ def write_text(file: File, text: str, *, durable: bool = True) -> None:
         draft.write_text(text, encoding="utf-8")
 
 
+def write_rows(file: File, head: Iterable[str], columns: Sequence[NDArray[Any]]) -> None:
+    """Write columns (n,) as CSV under a row of names, every number to its last bit: see `atomic_write`."""
+    rows = np.column_stack(columns).tolist()
+    write_text(file, "\n".join([",".join(head), *(",".join(map(repr, row)) for row in rows), ""]))
+
+
 def append_line(file: File, line: str) -> None:
     """Add a line to a text file (UTF-8), and wait until the disk has it; a last line that is half written goes first.
 
@@ -123,9 +129,10 @@ def append_line(file: File, line: str) -> None:
         sync(out)
 
 
+_AS_CSV = "save its sheet as CSV (UTF-8)"
 _NO_TEXT = {
-    b"PK\x03\x04": "an Excel workbook or another ZIP archive; save its sheet as CSV (UTF-8)",
-    b"\xd0\xcf\x11\xe0": "an Excel workbook of old; save its sheet as CSV (UTF-8)",
+    b"PK\x03\x04": f"an Excel workbook or another ZIP archive; {_AS_CSV}",
+    b"\xd0\xcf\x11\xe0": f"an Excel workbook of old; {_AS_CSV}",
     b"\x1f\x8b": "compressed by gzip; unpack it",
     b"\x89PNG": "a picture",
     b"%PDF": "a PDF",
@@ -154,6 +161,11 @@ def read_text(file: File, where: str, *, latin: bool = False) -> str:
         line = data.count(b"\n", 0, error.start) + 1
         what = f"{file}, line {line}: byte {data[error.start]:#x} is not UTF-8 (Latin-1?); save the file as UTF-8"
         raise ValueError(f"{where}: {what}") from error
+
+
+def refuse_workbook(file: File) -> None:
+    """ValueError for what its name says to be an Excel workbook, saying what to do."""
+    require(not FilePath(file).suffix.lower().startswith(".xls"), f"{file}", f"an Excel workbook; {_AS_CSV}")
 
 
 def _no_text(head: bytes) -> str:

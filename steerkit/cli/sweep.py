@@ -13,7 +13,7 @@ from rich.table import Table
 
 from steerkit._support.console import console
 from steerkit._support.errors import require
-from steerkit._support.files import write_text
+from steerkit._support.files import write_rows
 from steerkit.cli.options import SceneOptions, drive_options, driven_on, in_simulation, scenario_of
 from steerkit.compiled import TraceError
 from steerkit.diagram.loop import Loop
@@ -60,10 +60,8 @@ def sweep(
     default = f"sweep-{Path(controller).name.replace(':', '-')}-{driven_on(scenario, options.conditions)}"
     place = out or Path("runs") / f"{default}-seed{options.seed}"
     place.mkdir(parents=True, exist_ok=True)
-    table = np.column_stack(list(found.columns.values())).tolist()
-    lines = [",".join(found.columns), *(",".join(map(repr, row)) for row in table)]
-    write_text(place / "sweep.csv", "\n".join([*lines, ""]))
-    kept = f"{len(table)} drives: {place}/sweep.csv"
+    write_rows(place / "sweep.csv", found.columns, list(found.columns.values()))
+    kept = f"{math.prod(map(len, found.values.values()))} drives: {place}/sweep.csv"
     if len(values) <= 2:
         save(found.plot(), place / "sweep.png")
         kept += f"; picture: {place}/sweep.png"

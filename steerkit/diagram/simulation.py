@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit._support.files import atomic_write, read_npz, write_npz, write_text
+from steerkit._support.files import atomic_write, read_npz, write_npz, write_rows
 from steerkit.diagram.block import Port
 from steerkit.diagram.diagnostics import explained
 from steerkit.diagram.loop import Loop, LoopState, Sample
@@ -107,9 +107,7 @@ class Log(Mapping[str, np.ndarray]):
             return write_npz(file, {"t": self.t, "units": texts, **self.signals}, compressed=True)
         columns = {(name, units[name.split("[")[0]]): values for name, values in self.columns().items()}
         if kind == ".csv":
-            head = ",".join(f"{name} [{unit}]" for name, unit in columns)
-            rows = np.column_stack(list(columns.values())).tolist()
-            return write_text(file, "\n".join([head, *(",".join(map(repr, row)) for row in rows), ""]))
+            return write_rows(file, [f"{name} [{unit}]" for name, unit in columns], list(columns.values()))
         import pyarrow as pa
         import pyarrow.parquet as pq
 

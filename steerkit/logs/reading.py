@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit._support.files import LARGEST, opened
+from steerkit._support.files import LARGEST, opened, refuse_workbook
 from steerkit.logs import can_frames, ros, tables
 from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, candidates, is_command, is_time, unit_of
 from steerkit.logs.drive import ODD, Drive, aligned, in_metres, in_order, odd_values
@@ -279,7 +279,7 @@ def _many(files: Any) -> list[Any]:
 
 def _tables(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     kind = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
-    require(not kind.startswith(".xls"), str(path), "an Excel workbook; save its sheet as CSV (UTF-8)")
+    refuse_workbook(path)
     if not (kind in _READERS or path.is_dir()):
         known = ", ".join((*_READERS, *_SHIPPED))
         raise ValueError(f"{path}: a recording ends in one of, is the folder of a ROS 2 bag, or is called, {known}")

@@ -122,16 +122,34 @@ class Path:
     ) -> Self:
         """The path in a CSV file whose header names x and y [m], or lat and lon [degrees]; `#` starts a comment.
 
-        Other columns are ignored. smoothing [m]: by default 0 for x, y and 0.1 for lat, lon. name: by default the
-        file's. text: of the file, where it is known. Raises ValueError for a missing column or a cell that is no
-        number, and as `from_waypoints`.
+        smoothing [m]: by default 0 for x, y and 0.1 for lat, lon. name: by default the file's. text: of the
+        file, where it is known. Raises ValueError for a missing column or a cell that is no number, and as
+        `from_waypoints`.
         """
-        text = read_text(file, "Path.from_csv", latin=True) if text is None else text
-        xy, origin = placed(read_columns(text, f"{file}"), f"{file}")
+        text, called = read_text(file, "Path.from_csv", latin=True) if text is None else text, name or File(file).stem
+        columns = read_columns(text, f"{file}")
+        return cls.of_columns(columns, f"{file}", closed=closed, smoothing=smoothing, spacing=spacing, name=called)
+
+    @classmethod
+    def of_columns(
+        cls,
+        columns: Mapping[str, Array],
+        where: str,
+        *,
+        closed: bool,
+        smoothing: float | None = None,
+        spacing: float = 1.0,
+        name: str,
+    ) -> Self:
+        """The path along columns x, y [m] or lat, lon [degrees] (n,), as `read_columns` gives them of the file `where`.
+
+        The rest as `from_csv`, whose errors it raises.
+        """
+        xy, origin = placed(columns, where)
         if origin is None:
-            check_metres(checked(xy, f"{file}"), f"{file}")
+            check_metres(checked(xy, where), where)
         wide = smoothing if smoothing is not None else 0.0 if origin is None else 0.1
-        path = cls.from_waypoints(xy, closed=closed, smoothing=wide, spacing=spacing, name=name or File(file).stem)
+        path = cls.from_waypoints(xy, closed=closed, smoothing=wide, spacing=spacing, name=name)
         return dataclasses.replace(path, origin_deg=origin)
 
     @classmethod

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -53,16 +54,16 @@ def read_columns(text: str, where: str) -> dict[str, Array]:
 def _named(names: list[str], where: str) -> list[tuple[str, float]]:
     """What each column is called here, and one of its unit in SI."""
     parts = [parted(name) for name in names]
-    called = [bare.lower().removesuffix("_m") if bare.lower() == "s_m" else bare.lower() for bare, _ in parts]
-    meant = dict.fromkeys(range(len(names)), "")
+    called = ["s" if bare.lower() == "s_m" else bare.lower() for bare, _ in parts]
+    meant = [""] * len(names)
     for quantity, short in _CALLED.items():
-        found = [(place(quantity, bare), k) for k, (bare, _) in enumerate(parts)]
-        k = (
-            called.index(short)
-            if short in called
-            else min(((p, k) for p, k in found if p is not None), default=(0, -1))[1]
-        )
-        if k >= 0:
+        found = [
+            (called[k] != short, at, k)
+            for k, (bare, _) in enumerate(parts)
+            if (at := place(quantity, bare)) is not None
+        ]
+        if found:
+            *_, k = min(found)
             called[k], meant[k] = short, quantity
     require(len(set(called)) == len(called), where, f"two columns of one name: {', '.join(names)}")
     return [(name, _factor(meant[k], *parts[k], where)) for k, name in enumerate(called)]
@@ -177,7 +178,7 @@ def east_north(lat_deg: NDArray[Any], lon_deg: NDArray[Any], origin_deg: tuple[f
     return np.column_stack(pymap3d.geodetic2enu(lat_deg, lon_deg, 0.0, *origin_deg, 0.0)[:2])
 
 
-def placed(columns: dict[str, Array], where: str) -> tuple[Array, tuple[float, float] | None]:
+def placed(columns: Mapping[str, Array], where: str) -> tuple[Array, tuple[float, float] | None]:
     """Columns x, y [m] or lat, lon [degrees] as metres (n, 2), and where x = y = 0 is [degrees], if that is known."""
     if {"x", "y"} <= columns.keys():
         return np.column_stack((columns["x"], columns["y"])), None

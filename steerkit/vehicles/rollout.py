@@ -196,7 +196,12 @@ def _rates(e: Scalar, psi_e: Scalar, v: Scalar, r: Scalar, side: Scalar, kappa: 
 
 def yaw_gain(v: Scalar, wheelbase: Scalar, understeer: Scalar) -> Scalar:
     """Steady yaw rate over tan(delta): v/(L + K v^2) [1/s]."""
-    return v / (wheelbase + understeer * v * v)
+    return v / turning_length(v, wheelbase, understeer)
+
+
+def turning_length(v: Scalar, wheelbase: Scalar, understeer: Scalar) -> Scalar:
+    """tan(delta) over curvature in steady cornering: L + K v^2 [m]."""
+    return wheelbase + understeer * v * v
 
 
 def lag_share(h: Scalar, lag: Scalar) -> Scalar:
@@ -281,8 +286,8 @@ class GateLimits:
         )
 
     def length(self, v: Scalar) -> Scalar:
-        """L + K v^2 [m]: tan of the road-wheel angle over curvature, in steady cornering."""
-        return self.wheelbase + self.understeer * v * v
+        """See `turning_length` [m]."""
+        return turning_length(v, self.wheelbase, self.understeer)
 
     def rate(self, v: Scalar) -> Scalar:
         """The fastest change of delta_sw at this speed [rad/s]: the largest of the table's lines, within its ends."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -98,18 +98,22 @@ def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
     closed: None means as the file says, if `Path.to_csv` wrote it; else closed if its ends are no farther apart than
     5 m or three of its steps. Raises ValueError for a broken file, naming it, and for one that is cut short.
     """
+    return path_in(text, read_columns(text, name), name, closed)
+
+
+def path_in(text: str, columns: Mapping[str, Array], name: str, closed: bool | None) -> Path:
+    """The same, of a text whose columns have been read."""
     said = stated(text)
     if closed is None:
-        closed = said[0] if said else _meets_itself(text, name)
-    path = Path.from_csv(name, closed=closed, name=name.removesuffix(".csv"), text=text)
+        closed = said[0] if said else _meets_itself(placed(columns, name)[0])
+    path = Path.of_columns(columns, name, closed=closed, name=name.removesuffix(".csv"))
     if said and closed == said[0]:
         check_stated(said[1], path.length, 0.05 + 1e-4 * path.length, name)
     place = re.search(r"^# origin (-?[\d.]+), (-?[\d.]+) deg$", text, re.MULTILINE)
     return replace(path, origin_deg=(float(place[1]), float(place[2]))) if place else path
 
 
-def _meets_itself(text: str, name: str) -> bool:
-    points, _ = placed(read_columns(text, name), name)
+def _meets_itself(points: Array) -> bool:
     steps = distances(points)
     return len(points) > 2 and float(np.hypot(*(points[-1] - points[0]))) <= max(5.0, 3.0 * float(np.median(steps)))
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.paths.importers.course import Line
-from steerkit.paths.importers.network import Map, Piece
+from steerkit.paths.importers.network import Map, Piece, require_some
 from steerkit.paths.importers.xml_stream import get, number, records, shown, value
 from steerkit.paths.waypoints import check_gps, distances, east_north, travelled
 
@@ -66,14 +66,8 @@ def commonroad(file: str) -> Map:
             line=partial(_limited, line, limits[:1], signs, refs),
             about=" ".join(kind),
         )
-    _some(pieces, faulty, file, "lanelets")
+    require_some(pieces, faulty, file, "lanelets")
     return Map(kind="lanelet", pieces=pieces, noise=0.05, drawn=True, faulty=faulty)
-
-
-def _some(pieces: Mapping[str, Piece], faulty: Mapping[str, str], file: str, what: str) -> None:
-    """ValueError where a map holds nothing, or nothing that is not faulty."""
-    first = next((f": {name}: {why}" for name, why in faulty.items()), "")
-    require(pieces, file, f"holds no {what}" if not faulty else f"all of its {what} are faulty{first}")
 
 
 def _centre(lanelet: Element) -> Array:
@@ -202,7 +196,9 @@ def osm(file: str) -> Map:
     faulty: dict[str, str] = {}
     pieces = _lanelets(data, faulty) if data.lanelets else _ways(data, faulty)
     kind, noise = ("lanelet", 0.1) if data.lanelets else ("way", 1.0)
-    _some(pieces, faulty, file, "lanelets to drive on" if data.lanelets else "lanelets or ways for cars (tag highway)")
+    require_some(
+        pieces, faulty, file, "lanelets to drive on" if data.lanelets else "lanelets or ways for cars (tag highway)"
+    )
     return Map(kind=kind, pieces=pieces, noise=noise, drawn=True, origin_deg=data.origin, faulty=faulty)
 
 
@@ -261,7 +257,7 @@ def _aligned(left: list[int], right: list[int], data: _Osm) -> tuple[list[int], 
 
 def _beside(line: Array, points: Array) -> float:
     """How far points lie to the left of the line's nearest segment, in the mean [m]."""
-    step = np.diff(line, axis=0)
+    step, points = np.diff(line, axis=0), points[:: max(1, len(points) // 32)]  # some will do, however many there are
     along = np.maximum((step**2).sum(axis=1), 1e-12)
     away = points[:, None] - line[:-1]
     share = np.clip((away * step).sum(axis=2) / along, 0.0, 1.0)

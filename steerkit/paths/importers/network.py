@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -118,7 +119,7 @@ class Map:
         return line, closed, [f"{summary}, lane {lane} at its beginning" if lane else summary, *notes]
 
     def _group(self, group: str, where: str) -> list[str]:
-        why = self.faulty.get(group)
+        why = "" if group in self.groups else self.faulty.get(group)
         require(not why, where, f"{self.kind} {group} is faulty: {why}; there is {self.listed()}")
         require(group in self.groups, where, f"there is no {self.kind} {group}; there is {self.listed()}")
         return self.groups[group]
@@ -193,6 +194,12 @@ class Map:
     def _called(self, name: str) -> str:
         piece = self.pieces[name]
         return f"{self.kind} {piece.group}{f' lane {piece.lane}' if piece.lane else ''}"
+
+
+def require_some(pieces: Mapping[str, Any], faulty: Mapping[str, str], file: str, what: str) -> None:
+    """ValueError where a map holds nothing, or nothing that is not faulty."""
+    first = next((f": {name}: {why}" for name, why in faulty.items()), "")
+    require(pieces, file, f"holds no {what}" if not faulty else f"all of its {what} are faulty{first}")
 
 
 def _heading(xy: Array) -> float:

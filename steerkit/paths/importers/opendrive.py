@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.paths.importers.course import Line
-from steerkit.paths.importers.network import Map, Piece
+from steerkit.paths.importers.network import Map, Piece, require_some
 from steerkit.paths.importers.xml_stream import get, number, records, shown
 
 Array = NDArray[np.float64]
@@ -29,6 +29,8 @@ _TORN, _TOLD, _BENT = 0.2, 0.02, 0.1
 _DRIVABLE = re.compile(
     "driving|entry|exit|onRamp|offRamp|connectingRamp|slipLane|bidirectional|bus|taxi|HOV|mwyEntry|mwyExit|special[123]"
 )
+_TOLD_LINKS = 3
+"""Links that a map lacks are told one by one up to so many."""
 _UNITS = {"": 1.0, "m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 _WIDEST = 15.0
 """A lane is no wider [m]."""
@@ -152,9 +154,10 @@ def opendrive(file: str) -> Map:
     Source: ASAM OpenDRIVE 1.4 to 1.8.
     """
     roads, junctions, remarks, faulty = read(file)
-    require(roads, file, f"holds no roads with lanes{': '.join(['', *list(faulty.values())[:1]])}")
-    for road in roads.values():
-        remarks += _linked(road)
+    require_some(roads, faulty, file, "roads with lanes")
+    joined = [note for road in roads.values() for note in _linked(road)]
+    remarks += joined[:_TOLD_LINKS]
+    remarks += [f"{len(joined) - _TOLD_LINKS} more lanes without links alike"] * (len(joined) > _TOLD_LINKS)
     pieces = {
         road.called(k, lane.number): Piece(
             group=road.name,

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import known, require
-from steerkit._support.files import opened
+from steerkit._support.files import opened, refuse_workbook
 from steerkit.paths.importers import lanelets, tracks
-from steerkit.paths.importers.course import TIGHTEST, Course, Line, along, course_of, laid
+from steerkit.paths.importers.course import TIGHTEST, Course, Line, along, laid, path_in
 from steerkit.paths.importers.network import Map, Piece
 from steerkit.paths.importers.opendrive import opendrive
 from steerkit.paths.importers.tracks import rounds
@@ -133,8 +133,8 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
 def _exact(file: str, closed: bool | None) -> Course:
     """The course through the points of a CSV file."""
     text = tracks.text_of(file)
-    path = course_of(text, FilePath(file).name, closed=closed)
     columns = read_columns(text, file)
+    path = path_in(text, columns, FilePath(file).name, closed)
     s = travelled(placed(columns, file)[0])
     v, limit = (along(path, s * (path.length / s[-1]), columns.get(name)) for name in ("v", "v_limit"))
     note = f"read {FilePath(file).name}: the course leads through its {len(s)} points; FILE#noise=... [m] smooths them"
@@ -191,7 +191,7 @@ class Address:
             require(key not in values, f"'{text}'", f"{key} stands twice")
             values[key] = value
         kind = FilePath(file).suffix.lower()
-        require(not kind.startswith(".xls"), file, "an Excel workbook; save its sheet as CSV (UTF-8)")
+        refuse_workbook(file)
         known(kind or "none", KINDS, "a course's file: ending")
         for key in values:
             known(key, (*CHOICES[KINDS[kind]], *_SETTINGS), f"'{text}': {KINDS[kind]} key")
