@@ -27,6 +27,8 @@ AGREE = 0.7
 """From this correlation on two channels hold the same."""
 _MOST = 4
 """Other channels of a quantity that are compared."""
+_DAY = 86400.0
+"""[s]"""
 _SPARSE = 0.75
 """A column of a table that is empty in more rows than these leave has rows of its own."""
 _LEAST = 5.0
@@ -314,6 +316,8 @@ def _channels(table: Table, time: Column | None, where: str) -> Iterable[Channel
         column = Column(clock) if time is None or time.name != clock else time
         column = replace(column, unit=column.unit or table.units.get(clock, ""))
         t = column.in_si("t", table.columns[clock], where)
+        if np.nanmin(t, initial=0.0) >= 0.0 and np.nanmax(t, initial=0.0) < _DAY:  # of the clock, maybe past midnight
+            t = t + _DAY * np.cumsum(np.diff(t, prepend=t[:1]) < -0.5 * _DAY)
         rises = bool((t[np.isfinite(t)] != t[np.isfinite(t)][:1]).any())
         require(rises, where, f"column {clock} holds no times that rise, expected numbers or 2026-11-26T10:00:00.5")
     for name, values in table.columns.items():

@@ -270,10 +270,11 @@ class GateLimits:
     """Longest time that a change may be spread over [s]: a pause earns no jump."""
 
     def __post_init__(self) -> None:
-        require(0.0 <= self.understeer < math.inf, "GateLimits", f"understeer = {self.understeer}, expected >= 0")
         for name in self.__dataclass_fields__.keys() - {"rates", "understeer"}:
             value = getattr(self, name)
             require(0.0 < value < math.inf, "GateLimits", f"{name} = {value}, expected a finite number > 0")
+        turns = math.isfinite(self.understeer) and self.length(self.v_max) > 0.1 * self.wheelbase
+        require(turns, "GateLimits", f"understeer = {self.understeer}, expected L + K v_max^2 of a tenth of L or more")
         ok = self.delta_sw_max / self.steer_ratio < 1.4 and self.dt_min <= self.dt_max and self.v_floor <= self.v_max
         require(ok, "GateLimits", "expected delta_sw_max/steer_ratio < 1.4 rad, dt_min <= dt_max, v_floor <= v_max")
         slopes = [(b[1] - a[1]) / (b[0] - a[0]) if b[0] > a[0] else math.inf for a, b in pairwise(self.rates)]

@@ -108,7 +108,7 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
         return PortLimits(
             a_y_max=min(A_Y_MAX, most),
             jerk_max=slew,
-            understeer=max(0.0, float(vehicle.understeer_gradient)),
+            understeer=float(vehicle.understeer_gradient),
             slew=_KEPT * slew,
             torque_limit=most,
             late=late,
@@ -136,6 +136,6 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
         rates=table,
         turning=_turning(table, vehicle),
         a_y_max=A_Y_MAX - _WORST_ROLL,
-        understeer=max(0.0, float(vehicle.understeer_gradient)),
+        understeer=float(vehicle.understeer_gradient),
         error_max=float(controls.CURVATURE_ERROR),
     )

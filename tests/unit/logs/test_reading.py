@@ -250,6 +250,15 @@ def test_what_has_nothing_to_do_with_it_is_said_so_and_too_little_teaches() -> N
         agreement(t, motion(t), t + 100.0, motion(t))
 
 
+def test_a_clock_may_pass_midnight(tmp_path: Path) -> None:
+    t = np.arange(0.0, 30.0, 0.05)
+    clock = pd.to_datetime(86390.0 + t, unit="s").strftime("%H:%M:%S.%f")
+    signals = {"steering_angle_deg": 20.0 * np.sin(t), "speed_kmh": 36.0, "yaw_rate_degs": 5.0 * np.sin(t)}
+    pd.DataFrame({"time": clock, **signals}).to_csv(tmp_path / "night.csv", index=False)
+    drive = read_drive(tmp_path / "night.csv")
+    assert len(drive.v) == pytest.approx(len(t), abs=2)
+
+
 def test_tables_as_others_write_them_are_one_log(tmp_path: Path) -> None:
     """Decimal commas, UTF-16, names in a comment, times of the clock, signals on rows of their own."""
     t = np.arange(0.0, 30.0, 0.01)

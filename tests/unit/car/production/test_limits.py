@@ -15,6 +15,7 @@ from steerkit.car.gate import gate
 from steerkit.car.production.limits import limits_of
 from steerkit.car.production.platforms import platform
 from steerkit.vehicles import vehicle
+from steerkit.vehicles.rollout import yaw_gain
 from tests.support.production import config, judged, ported, steered
 
 
@@ -52,6 +53,21 @@ def test_a_gate_with_a_table_of_rates_lets_no_more_through_than_a_line_of_it() -
     assert rate_2 * 0.02 - limits.quantum < verdict.delta_sw <= rate_2 * 0.02
     with pytest.raises(ValueError, match="fall ever more slowly"):
         replace(limits, rates=((0.0, 1.0), (5.0, 2.0)))
+
+
+@given(st.floats(-0.001, 0.004), st.floats(2.0, 30.0), st.lists(st.floats(-9.0, 9.0), min_size=3, max_size=30))
+def test_whichever_way_a_car_steers_the_gate_keeps_to_its_lateral_acceleration(
+    understeer: float, v: float, wishes: list[float]
+) -> None:
+    """One that oversteers feels more of the same wheel; in steady cornering, to a quantum."""
+    limits = replace(config("FORD_MUSTANG_MACH_E_MK1").gate, understeer=understeer)
+    last = 0.0
+    for wish in wishes * 20:
+        last = gate(limits, wish, last, (v,), 0.02).delta_sw
+        felt = v * yaw_gain(v, limits.wheelbase, understeer) * math.tan(abs(last) / limits.steer_ratio)
+        assert felt <= limits.a_y_max + 2.0 * v * yaw_gain(v, limits.wheelbase, understeer) * limits.quantum / 10.0
+    with pytest.raises(ValueError, match="expected L \\+ K v_max\\^2 of a tenth of L or more"):
+        replace(limits, understeer=-1.0)
 
 
 @pytest.mark.parametrize("name", ["TOYOTA_COROLLA_TSS2", "HONDA_CIVIC_BOSCH", "VOLKSWAGEN_GOLF_MK7"])
