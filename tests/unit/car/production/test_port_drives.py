@@ -102,8 +102,9 @@ def test_a_killed_car_server_leaves_a_production_car_to_its_human(tmp_path: Path
                 order = {Mode.OFF: Order.ARM, Mode.READY: Order.ENGAGE}.get(snapshot.mode)
                 if order is not None:
                     panel.order(order)
-                if snapshot.mode is Mode.ENGAGED and '"enabled": true' in log.read_text(encoding="utf-8")[-200:]:
-                    break
+                driven = snapshot.mode is Mode.ENGAGED and '"enabled": true' in log.read_text(encoding="utf-8")[-200:]
+                if driven and sum(one.topic == "/port" for one in recording.read(kept).messages) > 10:
+                    break  # a disk that is busy writes late
                 time.sleep(0.02)
             assert snapshot.mode is Mode.ENGAGED, snapshot.text
             server.kill()
