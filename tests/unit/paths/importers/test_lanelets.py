@@ -174,6 +174,21 @@ def test_one_faulty_lanelet_leaves_the_others(tmp_path: FilePath) -> None:
     assert osm(str(osm_file(tmp_path / "a.osm", *ways))).faulty == {"12": "node 99 is not in the file: cut out?"}
 
 
+@pytest.mark.parametrize("turn", [0.0, 1.6, 3.1, 4.7])
+def test_left_is_left_whichever_way_a_lanelet_leads(turn: float, tmp_path: FilePath) -> None:
+    c, s = np.cos(turn), np.sin(turn)
+
+    def side(name: str, y: float) -> str:
+        rows = "".join(f"<point><x>{c * x - s * y}</x><y>{s * x + c * y}</y></point>" for x in (0.0, 10.0, 20.0))
+        return f"<{name}Bound>{rows}</{name}Bound>"
+
+    file = scenario(tmp_path / "a.xml", f'<lanelet id="1">{side("left", 1.5)}{side("right", -1.5)}</lanelet>')
+    assert commonroad(str(file)).pieces["1"].length == pytest.approx(20.0)
+    scenario(file, f'<lanelet id="1">{side("left", -1.5)}{side("right", 1.5)}</lanelet>')
+    with pytest.raises(ValueError, match="its left bound is on the right"):
+        commonroad(str(file))
+
+
 @pytest.mark.parametrize("flipped", [(0, 0), (1, 0), (0, 1), (1, 1)])
 def test_bounds_may_begin_far_apart_and_run_either_way(flipped: tuple[int, int], tmp_path: FilePath) -> None:
     """As in Autoware's maps: a short lanelet whose left bound and right bound begin 12 m apart along the road."""
