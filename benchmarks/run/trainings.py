@@ -19,7 +19,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import offline
 from steerkit.learning.settings import Setting, setting
-from steerkit.metrics import GOOD, Learned
+from steerkit.metrics import GOOD
 from steerkit.scenario import Scenario
 from steerkit.task import DT
 
@@ -142,15 +142,12 @@ def _metrics(
     counts = run.counts
     good = next((i for i, trial in enumerate(drives) if trial.good), None)
     rounds = counts.first_round_done
-    cost = Learned(
-        round_minutes=math.inf if rounds is None else rounds / 60.0,
-        round_episodes=math.inf if counts.failures_to_round is None else counts.failures_to_round + 1.0,
-        good_minutes=math.inf if good is None else nets[good].t / 60.0,
-        good_episodes=math.inf if good is None else nets[good].failures + 1.0,
-        transitions=len(run.transitions),
-    )
-    metrics: dict[str, float] = {name: float(getattr(cost, name)) for name in Learned.__dataclass_fields__}
-    metrics |= {
+    metrics = {
+        "round_minutes": math.inf if rounds is None else rounds / 60.0,
+        "round_episodes": math.inf if counts.failures_to_round is None else counts.failures_to_round + 1.0,
+        "good_minutes": math.inf if good is None else nets[good].t / 60.0,
+        "good_episodes": math.inf if good is None else nets[good].failures + 1.0,
+        "transitions": float(len(run.transitions)),
         "failures": float(counts.failures),
         "driving_minutes": run.t / 60.0,
         "trainings": float(len(nets)),

@@ -10,8 +10,6 @@ from .drive import Summary as Summary
 from .drive import of_log as of_log
 from .drive import step_times as step_times
 from .drive import summary as summary
-from .learners import Learned as Learned
-from .learners import learned as learned
 from .signals import accelerations as accelerations
 from .signals import largest as largest
 from .signals import lateral_jerk as lateral_jerk

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 LENGTH, WIDTH = 1.75, 0.66
 """Length and width of a car, in wheelbases: a VW Passat has 4.77 m and 1.82 m at 2.71 m."""
 _WHEEL = (0.24, 0.085)
+_WHO = ("learned", "analytic")  # colours of the learner, or of whoever drives alone, and of the recovery controller
 _TALL = 0.56  # height of what is seen over its width
 _LASTS = 15.0  # [s] the film, unless a speed is given
 
@@ -51,15 +53,17 @@ def animate(
     steer_ratio: float = 15.6,
     speed: float | None = None,
     fps: float = 12.0,
+    moments: Sequence[float] | np.ndarray | None = None,
     car: int = 0,
     progress: bool = False,
 ) -> File:
     """Write a film of a run to `file`: .gif (through Pillow) or .mp4 (through ffmpeg).
 
-    log: with car.x, car.y, car.psi, and, if they are there, car.v, car.delta_sw and a tracker's e. path: what the car
-    should follow, or None. wheelbase, l_f [m], steer_ratio [1]: the car, where the log does not know its own. speed:
-    how many seconds of the run one second of film shows (default: so many that it lasts 15 s, 1 at least). fps:
-    pictures a second. car: which one of a batch.
+    log: with car.x, car.y, car.psi, and, if they are there, car.v, car.delta_sw, a tracker's e and whether a learner
+    steers (supervisor.learning). path: what the car should follow, or None. wheelbase, l_f [m], steer_ratio [1]: the
+    car, where the log does not know its own. speed: how many seconds of the run one second of film shows (default: so
+    many that it lasts 15 s, 1 at least). fps: pictures a second. moments: the time of each picture [s], two at least,
+    instead of even steps. car: which one of a batch.
     Returns the file.
     Raises ValueError for another kind of file, a log without a car, or an MP4 without ffmpeg.
     """
@@ -70,7 +74,9 @@ def animate(
     if speed is None:
         speed = max(1.0, (log.t[-1] - log.t[0]) / _LASTS)
     require(speed > 0.0, "animate", f"speed = {speed}, expected a number > 0")
-    moments = np.arange(log.t[0], log.t[-1] + 1e-9, speed / fps)
+    if moments is None:
+        moments = np.arange(log.t[0], log.t[-1] + 1e-9, speed / fps)
+    speeds = fps * np.diff(moments, prepend=2.0 * moments[0] - moments[1]) if len(moments) > 1 else [speed]
     plant = log.loop.blocks.get("car") if log.loop is not None else None
     known = getattr(plant, "vehicle", None) if plant is not None else None
     if known is not None and np.ndim(known.wheelbase) == 0:
@@ -80,14 +86,15 @@ def animate(
         scene = Scene(run, path, wheelbase, 0.45 * wheelbase if l_f is None else l_f, steer_ratio, 18.0)
         writer = film(fps=fps)
         with writer.saving(scene.figure, str(film_file), dpi=80):
-            for t in shown(moments, "film" if progress else ""):
-                scene.show(float(t), speed)
+            for t, faster in shown([*zip(moments, speeds)], "film" if progress else ""):
+                scene.show(float(t), float(faster))
                 writer.grab_frame()
     return film_file
 
 
 class Moments:
-    """The signals of one car over time t (T,) [s], to be had at any moment: x, y, psi; e, v and delta_sw if known."""
+    """The signals of one car over time t (T,) [s], to be had at any moment: x, y, psi; e, v, delta_sw and who steers,
+    if known."""
 
     def __init__(self, t: np.ndarray, signals: dict[str, np.ndarray]):
         self.t, self.signals = t, {**signals, "psi": np.unwrap(signals["psi"])}
@@ -98,6 +105,7 @@ class Moments:
         names = {key: f"car.{key}" for key in ("x", "y", "psi", "v", "delta_sw")}
         errors = [name for name in ("path.e", *log) if name.rpartition(".")[2] == "e" and name in log]
         names |= {"e": errors[0]} if errors else {}
+        names |= {"learning": "supervisor.learning"}
         missing = [names[key] for key in ("x", "y", "psi") if names[key] not in log]
         require(not missing, "animate", f"the log lacks {', '.join(missing)}; recorded: {', '.join(log)}")
         require(len(log.t) >= 2, "animate", f"{len(log.t)} samples, expected two at least")
@@ -131,7 +139,7 @@ class Scene:
         self._look(run.at(run.t[0]))
         if path is not None:
             draw_path(view, path)
-        (self.trail,) = view.plot([], [], color=COLOURS["learned"], lw=1.6, alpha=0.8)
+        self.trails = {who: view.plot([], [], color=COLOURS[who], lw=1.6, alpha=0.8)[0] for who in _WHO}
         self.car = CarShape(view, wheelbase, l_f)
         self.words = view.text(0.01, 0.98, "", transform=view.transAxes, va="top", color=COLOURS["ink"], zorder=9)
         self._draw_strip()
@@ -148,11 +156,12 @@ class Scene:
             e = run.signals["e"]
             strip.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.35, lw=0)
             strip.plot(run.t, e, color=COLOURS["muted"], lw=0.7)
-            (self.line,) = strip.plot([], [], color=COLOURS["learned"], lw=1.3)
+            self.lines = {who: strip.plot([], [], color=COLOURS[who], lw=1.3)[0] for who in _WHO}
             strip.set_ylim(*(np.array([-1.15, 1.15]) * max(0.06, float(np.nanmax(np.abs(e))))))
+            if np.nanmax(np.abs(e)) > TRIP:
+                strip.set_yscale("symlog", linthresh=0.1)  # failures beside centimetres
             strip.set_ylabel("e [m]")
         else:
-            (self.line,) = strip.plot([], [])
             strip.set_yticks([])
         self.now = strip.axvline(run.t[0], color=COLOURS["ink"], lw=0.8)
         strip.set(xlim=(run.t[0], run.t[-1]), xlabel="t [s]")
@@ -162,17 +171,29 @@ class Scene:
         run, now = self.run, self.run.at(t)
         x, y, psi = now["x"], now["y"], now["psi"]
         past = run.t <= t
-        self.trail.set_data(np.append(run.signals["x"][past], x), np.append(run.signals["y"][past], y))
+        learns = run.signals["learning"][past] > 0.5 if "learning" in run.signals else np.ones(past.sum(), bool)
+        for who, steers in zip(_WHO, (learns, ~learns)):
+            drawn = steers | np.append(False, steers[:-1])  # a line to where the other one begins
+            xy = [np.append(np.where(drawn, run.signals[key][past], np.nan), now[key]) for key in ("x", "y")]
+            self.trails[who].set_data(*(xy if steers[-1] else [values[:-1] for values in xy]))
+            if "e" in run.signals:
+                self.lines[who].set_data(run.t[past], np.where(drawn, run.signals["e"][past], np.nan))
         self.car.place(x, y, psi, now.get("delta_sw", 0.0) / self.ratio)
         self._look(now)
-        words = [f"t = {t:.1f} s" + ("" if speed == 1.0 else f"   (shown {speed:.3g} x)")]
+        words = self._steering(learns) if "learning" in run.signals else []
+        words += [f"t = {t:.1f} s" + ("" if abs(speed - 1.0) < 1e-6 else f"   (shown {speed:.3g} x)")]
         words += [f"v = {now['v']:.1f} m/s"] if "v" in now else []
         words += [f"wheel {degrees_of(now['delta_sw']):+.0f} deg"] if "delta_sw" in now else []
         words += [f"e = {now['e']:+.3f} m"] if "e" in now else []
         self.words.set_text("\n".join(words))
-        if "e" in run.signals:
-            self.line.set_data(run.t[past], run.signals["e"][past])
         self.now.set_xdata([t, t])
+
+    def _steering(self, learns: np.ndarray) -> list[str]:
+        """Who steers, and how often the learner has failed."""
+        self.car.shapes[-1].set_facecolor(COLOURS[_WHO[0 if learns[-1] else 1]])
+        failures = int((learns[:-1] & ~learns[1:]).sum())
+        who = "the learner" if learns[-1] else "the recovery controller"
+        return [f"{who} steers; {failures} failure" + ("" if failures == 1 else "s")]
 
     def pixels(self) -> np.ndarray:
         """The picture as it is now, (height, width, 3) uint8."""

@@ -68,7 +68,6 @@ AT_HOME = {
     "gymnasium": {"gym", "export.minari"},
     "defusedxml": {"paths.importers.xml_stream"},
     "ijson": {"paths.importers.tracks"},
-    "PIL": {"learning.pictures.film"},
 }
 """Where a package may be imported: a module or package of steerkit."""
 

@@ -26,7 +26,6 @@ LITERAL = {
     "steerkit.export.c.export_c",
     "steerkit.identification",
     "steerkit.logs",
-    "steerkit.learning.pictures.film",
     "steerkit.learning.rundir",
     "steerkit.car.learner",
     "steerkit.car.state_machine.step",

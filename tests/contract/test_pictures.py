@@ -27,7 +27,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
 from steerkit.learning.nfq.rprop import new_net
-from steerkit.learning.pictures import film, policy, run
+from steerkit.learning.pictures import policy, run
 from steerkit.logs.channels import Channel
 from steerkit.logs.contents import Contents, contents, picture
 from steerkit.logs.drive import Drive
@@ -130,7 +130,6 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "rounds": lambda: drive.rounds_driven({"a": LOG, "b": LOG}, title="a"),
     "scene": lambda: seen(animation.Scene(*SCENE), animation.Scene.show, 9.0, 2.0).figure,
     "frame": lambda: painted().figure,
-    "film": lambda: seen(film._Scene(RECORD, 30.0, 29.0), film._Scene.picture, 12.0, 4.0).figure,
     "slices": lambda: policy.q_slices(NFQ, SCENARIO, doe=0.5),
     "map": lambda: policy.policy_map(NFQ, SCENARIO, visited=SEEN),
     "curve": lambda: run.learning_curve(RECORD),

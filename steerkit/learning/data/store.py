@@ -14,7 +14,6 @@ import sqlite3
 import struct
 import threading
 import time
-import uuid
 import warnings
 import weakref
 import zlib
@@ -31,11 +30,11 @@ from steerkit._support.errors import require
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
 
-APPLICATION, SCHEMA = 0x53746565, 2
+APPLICATION, SCHEMA = 0x53746565, 3
 """SQLite's application_id ("Stee") and user_version of a store."""
 TABLES = (
     "CREATE TABLE IF NOT EXISTS meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)",
-    "CREATE TABLE IF NOT EXISTS run(id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE, uid TEXT NOT NULL UNIQUE)",
+    "CREATE TABLE IF NOT EXISTS run(id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE)",
     # numbers: s, a, s_next, own (0 or 1) as little-endian doubles; crc: CRC-32 of them, begun with the episode
     "CREATE TABLE IF NOT EXISTS transition(run INTEGER NOT NULL REFERENCES run, n INTEGER NOT NULL, "
     "episode INTEGER NOT NULL, numbers BLOB NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY(run, n)) WITHOUT ROWID",
@@ -83,13 +82,10 @@ def reading(path: FilePath) -> Iterator[sqlite3.Connection]:
 
 
 @contextmanager
-def writing(path: FilePath, attach: FilePath | None = None) -> Iterator[sqlite3.Connection]:
-    """A connection in one transaction; the store `attach`, if given, is `other` in it."""
-    with reading(path) as db:
-        if attach is not None:
-            db.execute("ATTACH ? AS other", (_uri(attach),))
-        with transaction(db):
-            yield db
+def writing(path: FilePath) -> Iterator[sqlite3.Connection]:
+    """A connection in one transaction."""
+    with reading(path) as db, transaction(db):
+        yield db
 
 
 def opened(path: FilePath, names: Sequence[str] | None, *, create: bool) -> tuple[str, ...]:
@@ -173,7 +169,7 @@ class TransitionStore:
         self._writer: _Writer | None = None
         if run is not None:
             with writing(self.path) as db:
-                db.execute("INSERT OR IGNORE INTO run(label, uid) VALUES (?, ?)", (run, uuid.uuid4().hex))
+                db.execute("INSERT OR IGNORE INTO run(label) VALUES (?)", (run,))
                 (number,) = db.execute("SELECT id FROM run WHERE label = ?", (run,)).fetchone()
             self._writer = _Writer(self.path, number)
             self._end = weakref.finalize(self, _Writer.end, self._writer)  # also when the program ends unclosed
@@ -361,39 +357,3 @@ class _Writer(threading.Thread):
         self.ending = True
         self._wake.set()
         self.join(5.0)
-
-
-def merge(target: Path, sources: Sequence[Path]) -> dict[str, int]:
-    """Bring the runs of several stores into one; returns its labels and rows.
-
-    Runs keep their labels; where two different runs have the same one, the newcomer's gets its file's name behind it.
-    A run that is there already is not doubled: rows driven since are added. All or nothing of each source. Raises
-    StoreError for a source that cannot be read, has other names, or has changed in rows that were merged before.
-    """
-    require(len(sources) > 0, "merge", "no sources, expected at least one store")
-    stores = [TransitionStore(source) for source in sources]
-    for store in stores:
-        store.transitions()  # damage is found before anything is written
-    opened(FilePath(target), stores[0].names, create=True)
-    for store in stores:
-        if store.names != stores[0].names:
-            raise StoreError(f"{store.path}: has {store.names}, but {stores[0].path} has {stores[0].names}")
-        with writing(FilePath(target), attach=store.path) as db:
-            for number, label, uid in db.execute("SELECT id, label, uid FROM other.run ORDER BY id").fetchall():
-                _merge_run(db, number, label, uid, store.path)
-    return TransitionStore(target).runs()
-
-
-def _merge_run(db: sqlite3.Connection, number: int, label: str, uid: str, source: FilePath) -> None:
-    known = db.execute("SELECT id FROM main.run WHERE uid = ?", (uid,)).fetchone()
-    if known is None:
-        taken = {row[0] for row in db.execute("SELECT label FROM main.run")}
-        more = (f"{label} ({source.stem}{f' {k}' if k > 1 else ''})" for k in range(1, len(taken) + 2))
-        label = next(free for free in (label, *more) if free not in taken)
-        known = (db.execute("INSERT INTO main.run(label, uid) VALUES (?, ?)", (label, uid)).lastrowid,)
-    same = "FROM other.transition o JOIN main.transition m ON m.run = ? AND m.n = o.n WHERE o.run = ?"
-    (changed,) = db.execute(f"SELECT count(*) {same} AND o.crc != m.crc", (*known, number)).fetchone()
-    if changed:
-        raise StoreError(f"{source}: {changed} rows of run '{label}' have changed since it was merged; start afresh")
-    rows = "SELECT ?, n, episode, numbers, crc FROM other.transition WHERE run = ?"
-    db.execute(f"INSERT OR IGNORE INTO main.transition {rows}", (*known, number))

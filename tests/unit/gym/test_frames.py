@@ -25,6 +25,6 @@ def test_frames_show_the_car_and_change_with_it() -> None:
     assert scene.strip.get_xlim() == pytest.approx((0.05 - 10.0, 0.05))
     env.reset(seed=1)
     env.render()
-    assert len(scene.line.get_xdata()) == 1, "a new episode has a history of its own"
+    assert len(scene.lines["learned"].get_xdata()) == 1, "a new episode has a history of its own"
     with pytest.warns(UserWarning, match="made without render_mode"):
         assert gymnasium.make(ID).unwrapped.render() is None

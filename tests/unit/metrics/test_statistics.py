@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from steerkit.metrics import interval, learned, paired, share
+from steerkit.metrics import interval, paired, share
 
 NEVER = math.inf
 
@@ -89,8 +89,6 @@ def test_no_seeds_or_a_nan_are_refused() -> None:
         interval([1.0, math.nan])
     with pytest.raises(ValueError, match=r"share: successes of shape \(0,\)"):
         share([])
-    with pytest.raises(ValueError, match="learned: no seeds"):
-        learned([])
 
 
 def test_a_tie_is_half_a_win() -> None:

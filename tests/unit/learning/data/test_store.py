@@ -1,4 +1,4 @@
-"""The transition store: it never delays a step, survives a kill, refuses what it cannot vouch for, and merges."""
+"""The transition store: it never delays a step, survives a kill, and refuses what it cannot vouch for."""
 
 import os
 import signal
