@@ -1,10 +1,10 @@
 /* Episodes of cars, LANES at a time: what `episode_code` puts in front of it drives, observes, judges and begins them.
  *
- * In front of it stand: the types real and mask, LANES, SELECT; the functions of the traced task, tick0 and so on, look,
- * begin and judge; and as macros COLUMNS (of an observation), ROWS (of signals: those columns, then INFOS more), CARRIED
- * (numbers of state of a car), AGENT (where among them the action is), PLACE (the row of s), RANDOM (numbers of random
- * state of a start), STREAMS (those they are of), BOUND (of an observation), BEGINNING (whether starts are there),
- * TICKS(s) (a sample).
+ * In front of it stand: the types real and mask, LANES, SELECT, load, store; the functions of the traced task, tick0 and
+ * so on, look, begin and judge; and as macros COLUMNS (of an observation), ROWS (of signals: those columns, then INFOS
+ * more), CARRIED (numbers of state of a car), AGENT (where among them the action is), PLACE (the row of s), RANDOM
+ * (numbers of random state of a start), STREAMS (those they are of), BOUND (of an observation), BEGINNING (whether
+ * starts are there), TICKS(s) (a sample).
  */
 #include <pthread.h>
 #include <stdint.h>
@@ -28,8 +28,6 @@ typedef struct {
 } fleet;
 typedef struct { const fleet *f; long long first, last; int how; } part;
 enum { NEXT_STEP, SAME_STEP, DISABLED };
-static real load(const double *a) { real r; __builtin_memcpy(&r, a, sizeof r); return r; }
-static void store(double *a, real r) { __builtin_memcpy(a, &r, sizeof r); }
 static uint64_t mixed(uint64_t z)
 {
   z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
