@@ -1,4 +1,4 @@
-"""Readers of raw CAN logs (BLF, ASC, candump), and what a DBC says of the frames, whatever file they came in."""
+"""Readers of raw CAN logs (BLF, ASC, TRC, candump), and what a DBC says of the frames, whatever file they came in."""
 
 from __future__ import annotations
 
@@ -56,6 +56,13 @@ def read_asc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     reader = _python_can(path).ASCReader
     with _opened(path) as stream:
         return _tables(_frames(reader(stream, relative_timestamp=True)), path, dbc, notes)
+
+
+def read_trc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+    """PEAK's text form."""
+    reader = _python_can(path).TRCReader
+    with _opened(path) as stream:
+        return _tables(_frames(reader(stream)), path, dbc, notes)
 
 
 def read_blf(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:

@@ -242,6 +242,7 @@ class Drive:
         remarks = list(notes)
         without_lone(_whole_rows(columns, name, remarks), remarks)
         step, gaps = _steps(t := columns["t"], name, remarks)
+        _check_units(columns, name)
         if not trusted:
             _check_ranges(columns, name)
         if dt is None:
@@ -336,9 +337,41 @@ def _steps(t: Array, name: str, remarks: list[str]) -> tuple[float, NDArray[np.i
     return step, gaps
 
 
+_FASTEST_YAW, _FASTEST_SMALL = 2.5, 12.0
+"""What a road car turns at most, and a small one, of a tenth its length [rad/s]."""
+
+
+def _is_small(r: Array, v: Array) -> bool:
+    """Does it turn faster than a road car, at a lateral acceleration r v that tyres allow, 20 m/s^2?"""
+    return bool(_FASTEST_YAW < np.abs(r).max() <= _FASTEST_SMALL and np.abs(r * v).max() <= 20.0)
+
+
+def _check_units(columns: dict[str, Array], name: str) -> None:
+    """ValueError where a signal jumps by what lies between two of its units, and as its size goes on so."""
+    for quantity, factor, what in (
+        ("v", 3.6, "m/s and km/h"),
+        ("delta_sw", 1.0 / RAD_PER_DEG, "rad and deg"),
+        ("r", 1.0 / RAD_PER_DEG, "rad/s and deg/s"),
+    ):
+        size, t = np.abs(columns.get(quantity, np.zeros(2))), columns["t"]
+        pair = np.sort(np.column_stack((size[:-1], size[1:])))
+        jump = pair[:, 1] - pair[:, 0] > FASTEST[quantity] * np.maximum(np.diff(t), 1e-3)
+        rows = np.flatnonzero(jump & (np.abs(pair[:, 1] / np.maximum(pair[:, 0], 1e-9) / factor - 1.0) < 0.1)) + 1
+        for row in rows:
+            near = (np.median(size[max(row - 8, 0) : row]), np.median(size[row : row + 8]))
+            if abs(max(near) / max(min(near), 1e-9) / factor - 1.0) < 0.2:
+                raise ValueError(
+                    f"{name}: {quantity} goes from {size[row - 1]:.4g} to {size[row]:.4g} at row {row} of numbers "
+                    f"(t = {t[row]:.6g} s): its unit changes there between {what}; split the file there, and read each "
+                    "part with its own unit"
+                )
+
+
 def _check_ranges(columns: dict[str, Array], name: str) -> None:
     """Values that no car reaches are mostly a unit's fault."""
-    limits = {"delta_sw": (17.5, "rad", "deg"), "v": (100.0, "m/s", "km/h"), "r": (2.5, "rad/s", "deg/s")}
+    small = _is_small(columns.get("r", np.zeros(1)), columns["v"])
+    fastest = _FASTEST_SMALL if small else _FASTEST_YAW
+    limits = {"delta_sw": (17.5, "rad", "deg"), "v": (100.0, "m/s", "km/h"), "r": (fastest, "rad/s", "deg/s")}
     for quantity, (high, unit, likely) in limits.items():
         largest = float(np.abs(columns.get(quantity, np.zeros(1))).max())
         require(
@@ -423,7 +456,8 @@ def _check_plausible(drive: Drive) -> None:
         drive.name,
         f"steering and curvature r/v go together by {correlation:.2f} only (1: fully); wrong columns or clocks?",
     )
-    if PLAUSIBLE[0] <= slope <= PLAUSIBLE[1]:
+    small = _is_small(drive.r, drive.v)
+    if (0.1 if small else PLAUSIBLE[0]) <= slope <= PLAUSIBLE[1]:
         return
     causes: dict[str, float] = {
         'delta_sw is in degrees (unit = "deg")': RAD_PER_DEG,

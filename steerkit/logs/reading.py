@@ -283,8 +283,8 @@ def _tables(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     kind = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
     refuse_workbook(path)
     if not (kind in _READERS or path.is_dir()):
-        known = ", ".join((*_READERS, *_SHIPPED))
-        raise ValueError(f"{path}: a recording ends in one of, is the folder of a ROS 2 bag, or is called, {known}")
+        known = f"{', '.join(_READERS)}, a drive that ships ({', '.join(_SHIPPED)})"
+        raise ValueError(f"{path}: no recording; expected a file that ends in {known}, or a ROS 2 bag's folder")
     require(path.is_dir() or path.stat().st_size, str(path), "the file is empty")
     try:
         return (ros.read_ros if path.is_dir() else _READERS[kind])(path, dbc, notes)
@@ -364,6 +364,7 @@ _READERS: dict[str, Callable[[Path, tuple[str, ...], list[str]], list[Table]]] =
     ".blf": can_frames.read_blf,
     ".asc": can_frames.read_asc,
     ".asc.gz": can_frames.read_asc,
+    ".trc": can_frames.read_trc,
     ".log": can_frames.read_candump,
     ".log.gz": can_frames.read_candump,
 }

@@ -231,6 +231,7 @@ FORMATS: dict[str, Format] = {
     "candump": Format(suffix=".log", write=_can, exact=False, sums=False, dbc=True, clock=1e-6),
     "asc": Format(suffix=".asc", write=_can, exact=False, sums=False, dbc=True, clock=1e-6),
     "blf": Format(suffix=".blf", write=_can, exact=False, sums=False, dbc=True, clock=1e-6),
+    "trc": Format(suffix=".trc", write=_can, exact=False, sums=False, dbc=True, clock=1e-3),
     "ros2 mcap": Format(suffix=".mcap", write=_bag("MCAP"), exact=False, sums=False, clock=1e-6),
     "ros2 mcap with sums": Format(suffix=".mcap", write=_summed, exact=False, sums=True, clock=1e-6),
     "ros2 sqlite": Format(suffix=".db3", write=_bag("SQLITE3"), exact=False, sums=False, clock=1e-6),

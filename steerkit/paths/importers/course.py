@@ -151,7 +151,12 @@ def laid(
         curve, end, u, shown = smoothed(line.xy, noise, closed=closed)
         count = max(12, round(end))
         fine = curve(np.linspace(0.0, end, count + 1)[: -1 if closed else None])
-        remarks.append(f"smoothed by noise = {noise:g} m: the points lie {shown:.2g} m beside the curve (RMS)")
+        beside = np.hypot(*(line.xy - curve(u[: len(line.xy)])).T)
+        most, at = float(beside.max()), "({:.1f}, {:.1f})".format(*line.xy[beside.argmax()])
+        remarks.append(
+            f"smoothed by noise = {noise:g} m: the points lie {shown:.2g} m beside the curve (RMS), "
+            f"{most:.2g} m at most, at {at} [m]"
+        )
     else:
         fine, u = line.xy, travelled(line.xy)
         end = float(u[-1]) + (math.dist(line.xy[0], line.xy[-1]) if closed else 0.0)
@@ -202,10 +207,13 @@ def check_spikes(xy: Array, noise: float, name: str) -> None:
 
     def turns(points: Array) -> Array:
         heading = np.unwrap(np.arctan2(*np.diff(points, axis=1).transpose(2, 0, 1)[::-1]), axis=-1)
-        return np.abs(np.diff(heading, axis=1)).sum(axis=1)
+        return np.diff(heading, axis=1)
 
     five = np.stack([xy[k : len(xy) - 4 + k] for k in range(5)], axis=1)
-    less = turns(five) - turns(five[:, [0, 1, 3, 4]])
+    bends = turns(five)
+    less = np.abs(bends).sum(axis=1) - np.abs(turns(five[:, [0, 1, 3, 4]])).sum(axis=1)
+    to_and_fro = np.minimum(-bends[:, 0] * bends[:, 1], -bends[:, 1] * bends[:, 2])  # two corners of a street are not
+    less[to_and_fro < 0.04 * bends[:, 1] ** 2] = 0.0
     a, p, b = five[:, 1], five[:, 2], five[:, 3]
     chord = b - a
     cross = chord[:, 0] * (p - a)[:, 1] - chord[:, 1] * (p - a)[:, 0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from steerkit.paths.importers import lanelets, tracks
 from steerkit.paths.importers.course import TIGHTEST, Course, Line, along, laid, path_in
 from steerkit.paths.importers.network import Map, Piece
 from steerkit.paths.importers.opendrive import opendrive
-from steerkit.paths.importers.tracks import rounds
+from steerkit.paths.importers.tracks import EVER, rounds
 from steerkit.paths.importers.xml_stream import root_of
 from steerkit.paths.path import Array
 from steerkit.paths.waypoints import distances, placed, read_columns, travelled
@@ -25,6 +26,8 @@ from steerkit.paths.waypoints import distances, placed, read_columns, travelled
 KINDS: Mapping[str, str] = {
     ".csv": "CSV",
     ".gpx": "GPX",
+    ".kml": "KML",
+    ".tcx": "TCX",
     ".geojson": "GeoJSON",
     ".json": "GeoJSON",
     ".xodr": "OpenDRIVE",
@@ -33,9 +36,9 @@ KINDS: Mapping[str, str] = {
 }
 """How the name of a file with a road in it ends, and what it then is."""
 CHOICES: Mapping[str, tuple[str, ...]] = {
-    "CSV": ("lap",),
-    "GPX": ("track", "lap"),
-    "GeoJSON": ("feature", "lap"),
+    "CSV": ("lap", "from", "to"),
+    **dict.fromkeys(("GPX", "KML", "TCX"), ("track", "lap", "from", "to")),
+    "GeoJSON": ("feature", "lap", "from", "to"),
     "OpenDRIVE": ("road", "lane", "to"),
     "CommonRoad or OSM": ("lanelet", "way", "to"),
     "OSM or Lanelet2": ("lanelet", "way", "to"),
@@ -48,11 +51,14 @@ _READERS: Mapping[str, Callable[[str], Any]] = {
     ".geojson": tracks.geojson,
     ".json": tracks.geojson,
     "gpx": tracks.gpx,
+    "kml": tracks.kml,
+    "TrainingCenterDatabase": tracks.tcx,
     "commonRoad": lanelets.commonroad,
     "osm": lanelets.osm,
     "OpenDRIVE": opendrive,
 }
 """Readers of tracks or of a map, by the ending or by the first element of an XML file."""
+_ROOTS = {".gpx": ("gpx",), ".kml": ("kml",), ".tcx": ("TrainingCenterDatabase",)}
 
 
 def contents(file: str) -> Map:
@@ -72,7 +78,7 @@ def contents(file: str) -> Map:
 def _contents(file: str, ending: str) -> Map:
     kind = ending
     if ending not in _READERS:
-        kind, valid = root_of(file), ("gpx",) if ending == ".gpx" else ("commonRoad", "osm", "OpenDRIVE")
+        kind, valid = root_of(file), _ROOTS.get(ending, ("commonRoad", "osm", "OpenDRIVE"))
         what = f"its first element is <{kind}>, expected one of {', '.join(f'<{name}>' for name in valid)}"
         require(kind in valid, file, what)
     made = _READERS[kind](file)
@@ -93,9 +99,9 @@ def _contents(file: str, ending: str) -> Map:
 def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None = None) -> Course:
     """The course at an address, `FILE` or `FILE#KEY=VALUE,KEY=VALUE`: its path, the speeds along it, what was done.
 
-    Keys of every format: noise [m], closed=yes or no, reverse=yes; of CSV: lap; GPX: track, lap; GeoJSON: feature, lap;
-    OpenDRIVE: road, lane, to; CommonRoad and Lanelet2: lanelet, to; OSM: way, to. `to` names the road, lanelet or way
-    to which the shortest route leads, along lanes that are connected; the one where it begins: once round.
+    Keys of every format: noise [m], closed=yes or no, reverse=yes; of CSV: lap, from, to [s]; GPX, KML, TCX: track too;
+    GeoJSON: feature; OpenDRIVE: road, lane, to; CommonRoad, Lanelet2: lanelet, to; OSM: way, to. `to` names the road,
+    lanelet or way to which the shortest route leads, along lanes that are connected; where it begins: once round.
 
     The points of a CSV file without keys are exact: the course leads through them (`course_of`).
 
@@ -146,17 +152,26 @@ def chosen(found: Map, where: Address, closed: bool | None = None) -> tuple[Line
     choice = dict(where.choice)
     lap = choice.pop("lap", None)
     require(lap is None or lap.isdigit(), f"'{where.file}'", f"lap = {lap}, expected 1, 2 ...")
+    span = EVER
+    if found.tracks:
+        begin, end = (choice.pop(key, str(no)) for key, no in zip(("from", "to"), EVER))
+        span = (_number(begin), _number(end))
+        require(span[0] < span[1], f"'{where.file}'", f"from = {begin}, to = {end}, expected seconds from its start")
     line, round_, notes = found.route(choice, where.file)
     wanted = closed if where.closed is None else where.closed
     source = found.source(choice)
     if isinstance(source, tracks.Track):
         noise = source.noise if where.noise is None else where.noise
-        line, more = source.driven(noise, where.file)
+        line, more = source.driven(noise, span, where.file)
         notes += more
         if wanted is not False:
             line, round_, cut = rounds(line, noise, None if lap is None else int(lap), where.file)
             notes += cut
     return line, (round_ or _meets(line.xy)) if wanted is None else wanted, notes
+
+
+def _number(text: str) -> float:
+    return float(text) if re.fullmatch(r"-?inf|\d*\.?\d+", text) else math.nan
 
 
 def _meets(xy: Array) -> bool:
@@ -187,6 +202,10 @@ class Address:
         values: dict[str, str] = {}
         for word in filter(None, rest.split(",")):
             key, sign, value = word.partition("=")
+            if not sign and values and next(reversed(values)) in ("track", "feature"):  # a comma of its name
+                last = next(reversed(values))
+                values[last] = " ".join(f"{values[last]} {word}".split())
+                continue
             require(sign and value, f"'{text}'", f"'{word}', expected KEY=VALUE, such as noise=0.5 or road=1")
             require(key not in values, f"'{text}'", f"{key} stands twice")
             values[key] = value

@@ -1,11 +1,14 @@
-"""Readers of what was recorded or drawn: GPX, GeoJSON and CSV files."""
+"""Readers of what was recorded or drawn: GPX, KML, TCX, GeoJSON and CSV files."""
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +17,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import opened, read_text
 from steerkit._support.tables import seconds_of
 from steerkit.paths.importers.course import Line, distinct
-from steerkit.paths.importers.xml_stream import number, records, value
+from steerkit.paths.importers.xml_stream import finite, number, records, shown, value
 from steerkit.paths.waypoints import (
     check_gps,
     check_metres,
@@ -38,6 +41,8 @@ class Track:
         """Latitude and longitude, or x and y where `flat`."""
         self.t, self.v = array("d"), array("d")
         """NaN, or nothing at all, where the file has none."""
+        self.bad: list[str] = []
+        """Why positions are left out, one each."""
 
     @property
     def noise(self) -> float:
@@ -57,20 +62,37 @@ class Track:
         check_gps(a, b, self.name)
         return Line(xy=east_north(a, b, self.origin_deg))
 
-    def driven(self, noise: float, where: str) -> tuple[Line, list[str]]:
-        """Its line without what was recorded at rest, and what was done."""
+    def driven(self, noise: float, span: tuple[float, float], where: str) -> tuple[Line, list[str]]:
+        """Its line without what was recorded at rest, and what was done; span: from and to, after its start [s]."""
         line = self.line()
         if self.flat:
             check_metres(line.xy, where)
         t, v = (np.array(column) if column else np.full(len(line.xy), np.nan) for column in (self.t, self.v))
-        return (line, []) if self.drawn else cleaned(line.xy, t, v, noise, where)
+        notes = [f"{len(self.bad)} positions are left out, the first: {self.bad[0]}"] if self.bad else []
+        timed = not self.drawn and np.isfinite(t).sum() > 0.5 * len(t)
+        require(timed or span == EVER, where, "from, to [s] choose by time, which these positions are without")
+        line, more = (line, []) if self.drawn else cleaned(line.xy, t, v, noise, where, span)
+        return line, notes + more
 
     def add(self, a: float, b: float, t: float = math.nan, v: float = math.nan) -> None:
         """One more position."""
-        self.a.append(a)
-        self.b.append(b)
-        self.t.append(t)
-        self.v.append(v)
+        for column, one in zip((self.a, self.b, self.t, self.v), (a, b, t, v)):
+            column.append(one)
+
+    def read(self, node: Element, where: Callable[[], Iterable[float]], t: str | None, v: Element | None) -> None:
+        """One more from XML, if its latitude, longitude, time and speed are numbers and it is on Earth."""
+        try:
+            lat, lon = where()
+            require(abs(lat) <= 90.0 and abs(lon) <= 180.0, shown(node), f"is at {lat:g}, {lon:g}, expected degrees")
+            self.add(lat, lon, math.nan if t is None else _seconds(t), math.nan if v is None else value(v))
+        except ValueError as error:
+            self.bad.append(str(error))
+
+    def call(self, name: str, others: Iterable[Track]) -> None:
+        """Its name, unless it has one or another track has it; a comma would part keys of an address."""
+        name = " ".join(name.replace(",", " ").split())
+        if name and not self.a and name not in {track.name for track in others}:
+            self.name = name
 
 
 def gpx(file: str) -> list[Track]:
@@ -80,20 +102,79 @@ def gpx(file: str) -> list[Track]:
     extensions is read where it stands.
     """
     tracks: list[Track] = []
-    for node in records(file, ("trkpt", "rtept", "name"), ("trk", "rte", "wpt")):
+    for node in _whole(records(file, ("trkpt", "rtept", "name"), ("trk", "rte", "wpt")), tracks):
         if node.tag in ("trk", "rte"):
             tracks.append(Track(str(len(tracks)), drawn=node.tag == "rte"))
         elif not tracks or node.tag == "wpt":
             continue
         elif node.tag == "name":
-            called = (node.text or "").strip()
-            if called and not tracks[-1].a and called not in {track.name for track in tracks}:
-                tracks[-1].name = called.replace(",", " ")
+            tracks[-1].call(node.text or "", tracks)
         else:
-            times, speeds = node.findall("time"), [*node.iter("speed")]
-            t = _seconds(times[0].text or "") if times else math.nan
-            tracks[-1].add(number(node, "lat"), number(node, "lon"), t, value(speeds[0]) if speeds else math.nan)
-    return [track for track in tracks if len(track.a) > 1]
+            place = functools.partial(map, functools.partial(number, node), ("lat", "lon"))
+            tracks[-1].read(node, place, node.findtext("time"), next(node.iter("speed"), None))
+    return _some(tracks)
+
+
+def tcx(file: str) -> list[Track]:
+    """The activities and courses of a TCX file, laps one after the other; trackpoints without a position are passed.
+
+    Raises ValueError as it is broken. Source: TrainingCenterDatabase v2 schema (Garmin).
+    """
+    tracks: list[Track] = []
+    for node in _whole(records(file, ("Trackpoint", "Name"), ("Activity", "Course")), tracks):
+        if node.tag in ("Activity", "Course"):
+            tracks.append(Track(str(len(tracks))))
+        elif tracks and node.tag == "Name":
+            tracks[-1].call(node.text or "", tracks)
+        elif tracks and (at := node.find("Position")) is not None:
+            place = [*at.iterfind("LatitudeDegrees"), *at.iterfind("LongitudeDegrees")]
+            tracks[-1].read(
+                node, functools.partial(map, value, place), node.findtext("Time"), next(node.iter("Speed"), None)
+            )
+    return _some(tracks)
+
+
+def kml(file: str) -> list[Track]:
+    """The lines and rings (drawn) and the tracks of times (gx:Track, recorded) of a KML file's placemarks.
+
+    Raises ValueError as it is broken. Source: OGC KML 2.3.
+    """
+    tracks: list[Track] = []
+    for mark in _whole(records(file, ("Placemark",)), tracks):
+        for node in mark.iter():
+            if node.tag not in ("LineString", "LinearRing", "Track"):
+                continue
+            tracks.append(Track(str(len(tracks)), drawn=node.tag != "Track"))
+            tracks[-1].call(mark.findtext("name") or "", tracks)
+            times: list[str | None] = [when.text or "" for when in node.iterfind("when")]
+            places = [(at.text or "").split() for at in node.iterfind("coord")]
+            if tracks[-1].drawn:
+                places = [at.split(",") for at in (node.findtext("coordinates") or "").split()]
+                times = [None] * len(places)
+            what = f"{len(times)} times and {len(places)} positions, expected as many"
+            require(len(times) == len(places), f"Track {tracks[-1].name}", what)
+            for at, t in zip(places, times):
+                tracks[-1].read(node, functools.partial(map, finite, at[1::-1], ("lat", "lon")), t, None)
+    return _some(tracks)
+
+
+def _whole(nodes: Iterator[Element], tracks: list[Track]) -> Iterator[Element]:
+    """The elements of a file; of one that is cut off after positions, those before, and the track says so."""
+    try:
+        yield from nodes
+    except ValueError as error:
+        if not any(len(track.a) > 1 for track in tracks):
+            raise
+        tracks[-1].bad.append(f"all that follows, {error}")
+
+
+def _some(tracks: list[Track]) -> list[Track]:
+    """Those of two positions or more; ValueError where all are without, and some position says why."""
+    found = [track for track in tracks if len(track.a) > 1]
+    bad = [why for track in tracks for why in track.bad]
+    if bad and not found:
+        raise ValueError(bad[0])
+    return found
 
 
 def _seconds(text: str) -> float:
@@ -132,7 +213,7 @@ def geojson(file: str) -> list[Track]:
         raise ValueError(f"{file}: no JSON, damaged or cut off ({' '.join(str(error).split())[:80]})") from error
     except (AttributeError, KeyError, TypeError) as error:
         raise ValueError(f"{file}: no GeoJSON, or damaged ({type(error).__name__}: {error})") from error
-    return [track for track in tracks if len(track.a) > 1]
+    return _some(tracks)
 
 
 _GEO = ("FeatureCollection", "Feature", "GeometryCollection", "LineString", "MultiLineString")
@@ -170,9 +251,12 @@ def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Tra
         while points:
             point = points.pop()  # not held twice
             good = len(point) >= 2 and all(type(x) in (int, float) and math.isfinite(x) for x in point)
-            require(good, "coordinates", f"a position {point}, expected longitude and latitude, as numbers")
-            a, b = point[:2] if flat else point[1::-1]
-            track.add(a, b, stamps.pop())
+            t = stamps.pop()
+            if good:
+                a, b = point[:2] if flat else point[1::-1]
+                track.add(a, b, t)
+            else:
+                track.bad.append(f"coordinates: a position {point}, expected longitude and latitude, as numbers")
         made.append(track)
     return made
 
@@ -218,38 +302,56 @@ _FASTEST = 100.0
 """[m/s]; what seems faster is a wrong position."""
 
 
-def cleaned(xy: Array, t: Array, v: Array, noise: float, where: str) -> tuple[Line, list[str]]:
+EVER = (-math.inf, math.inf)
+"""From and to of all that was recorded [s]."""
+
+
+def cleaned(
+    xy: Array, t: Array, v: Array, noise: float, where: str, span: tuple[float, float] = EVER
+) -> tuple[Line, list[str]]:
     """The points of a track that tell where the way is, with the speed at each, and what was left out.
 
     xy (n, 2) [m]; t (n,) [s] and v (n,) [m/s], NaN where the receiver does not say. Where the car stood, one point of
-    many is left. Raises ValueError for gaps, for times that do not rise and for jumps that no car makes.
+    many is left. At gaps, where time runs back and at jumps that no car makes the track is parted: the longest part
+    within the span [s] is taken. Raises ValueError where less than four points are left.
     """
-    if not np.isfinite(t).all():
-        return distinct(Line(xy=xy, v=v if np.isfinite(v).all() else None), where), []
-    steps = np.diff(t)
-    back = np.flatnonzero(steps < 0.0)
-    require(not back.size, where, f"time runs back after point {back[0] if back.size else 0}: two drives in one track?")
-    new = np.concatenate(([True], steps > 0.0))
-    xy, t, v = xy[new], t[new], v[new]
+    known = np.isfinite(t)
+    if known.sum() <= 0.5 * len(t) or not np.diff(t[known]).any():
+        notes = ["the positions' times do not rise: speeds are not known"] if known.any() else []
+        return distinct(Line(xy=xy, v=v if np.isfinite(v).all() else None), where), notes
+    known[known] = np.diff(t[known], prepend=-np.inf) != 0.0
+    xy, t, v = xy[known], t[known], v[known]
+    notes = [f"left out {(~known).sum()} points without a time of their own"] if not known.all() else []
+    far = np.hypot(*(xy[2:] - xy[:-2]).T) - min(6.0 * noise, 30.0) <= _FASTEST * np.abs(t[2:] - t[:-2])
+    jumps = distances(xy) - min(6.0 * noise, 30.0) > _FASTEST * np.abs(np.diff(t))
+    wrong = np.flatnonzero(jumps[1:] & jumps[:-1] & far) + 1
+    if wrong.size:
+        notes.append(f"left out {wrong.size} wrong positions, which no car reaches; the first is point {wrong[0]}")
+        xy, t, v = (np.delete(a, wrong, axis=0) for a in (xy, t, v))
+    since = t - t[0]
+    within = (span[0] <= since) & (since <= span[1])
+    many = f"{within.sum()} points with times of their own, expected 4 or more"
+    require(within.sum() >= 4, where, f"{many}; it lasts from 0 to {since.max():.0f} s")
+    xy, t, v, since = xy[within], t[within], v[within], since[within]
     moved, steps = distances(xy), np.diff(t)
-    require(len(t) >= 4, where, f"{len(t)} points with times of their own, expected 4 or more")
-    speed = (moved - min(6.0 * noise, 30.0)) / steps
-    if speed.max() > _FASTEST:
-        k = int(speed.argmax())
-        raise ValueError(
-            f"{where}: point {k + 1} is {moved[k]:.0f} m from the one {steps[k]:.2g} s before: a wrong position"
+    lost = (steps > max(_LOST, 3.0 * float(np.median(np.abs(steps))))) & (moved > _MOVED + 6.0 * noise)
+    breaks = np.flatnonzero(lost | (steps < 0.0) | (moved - min(6.0 * noise, 30.0) > _FASTEST * np.abs(steps)))
+    if breaks.size:
+        ends = [0, *(breaks + 1), len(t)]
+        parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
+        metres = [float(distances(xy[part]).sum()) if part.stop - part.start >= 4 else 0.0 for part in parts]
+        part = parts[int(np.argmax(metres))]
+        require(max(metres) > 0.0, where, f"is in {len(parts)} parts of less than 4 points: gaps, or time runs back")
+        k = breaks[0]
+        why = "time runs back" if steps[k] < 0.0 else f"a gap of {steps[k]:.0f} s and {moved[k]:.0f} m"
+        notes.append(
+            f"{why} after {since[k]:.0f} s: the longest of {len(parts)} parts is taken, {since[part][0]:.0f} to "
+            f"{since[part][-1]:.0f} s, {max(metres):.0f} of {sum(metres):.0f} m; FILE#from=...,to=... [s] chooses"
         )
-    usual = float(np.median(steps))
-    lost = np.flatnonzero((steps > max(_LOST, 3.0 * usual)) & (moved > _MOVED + 6.0 * noise))
-    if lost.size:
-        k = int(lost[0])
-        what = (
-            f"a gap of {steps[k]:.0f} s and {moved[k]:.0f} m after point {k} ({t[k] - t[0]:.0f} s from the beginning)"
-        )
-        raise ValueError(f"{where}: {what}: the receiver had lost the way; record that stretch again, at 1 Hz or more")
+        xy, t, v = xy[part], t[part], v[part]
     kept = _moving(xy, t, noise)
-    left_out = int((~kept).sum())
-    notes = [f"left out {left_out} of {len(kept)} points, recorded while the car stood"] if left_out else []
+    if not kept.all():
+        notes.append(f"left out {(~kept).sum()} of {len(kept)} points, recorded while the car stood")
     return distinct(Line(xy=xy[kept], v=_speeds(xy, t, v)[kept]), where), notes
 
 
@@ -278,6 +380,7 @@ def _speeds(xy: Array, t: Array, v: Array) -> Array:
     reach = max(0.5 * _FIT, 1.5 * float(np.median(np.diff(t))))
     for k in range(len(t)):
         near = np.abs(t - t[k]) <= reach
+        near[max(k - 1, 0) : k + 2] = True  # a slope needs a neighbour, however late
         # the chord's length grows with noise at every step, a straight fit through the positions does not
         dt = t[near] - t[near].mean()
         out[k] = math.hypot(*(dt @ xy[near]) / (dt @ dt))

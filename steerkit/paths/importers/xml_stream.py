@@ -24,12 +24,12 @@ def get(node: Element, name: str, default: str | None = None) -> str:
 def number(node: Element, name: str, default: float | None = None) -> float:
     """An attribute as a finite number; raises ValueError where it is none, or missing without a default."""
     text = get(node, name, None if default is None else repr(default))
-    return _number(text, f"{shown(node)} {name}")
+    return finite(text, f"{shown(node)} {name}")
 
 
 def value(node: Element) -> float:
     """The text as a finite number; raises ValueError where it is none."""
-    return _number(node.text or "", shown(node))
+    return finite(node.text or "", shown(node))
 
 
 def shown(node: Element) -> str:
@@ -38,7 +38,8 @@ def shown(node: Element) -> str:
     return f"<{' '.join((node.tag + attributes[:80]).split())}>"
 
 
-def _number(text: str, where: str) -> float:
+def finite(text: str, where: str) -> float:
+    """A text as a finite number; raises ValueError where it is none."""
     try:
         value = float(text)
     except ValueError:

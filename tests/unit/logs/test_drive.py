@@ -110,7 +110,10 @@ def test_a_heading_that_passes_180_degrees_goes_on() -> None:
         ({"v": [1.0], "psi": [0.0, 390.0]}, True),
         ({"v": [1.0], "delta_sw": [17.51]}, False),
         ({"v": [100.1]}, False),
-        ({"v": [1.0], "r": [-2.51]}, False),
+        ({"v": [1.0], "r": [-2.51]}, True),
+        ({"v": [4.0], "r": [-4.9]}, True),  # a small car's
+        ({"v": [4.0], "r": [-5.1]}, False),
+        ({"v": [1.0], "r": [-12.1]}, False),
         ({"v": [-1.01]}, False),
         ({"v": [1.0], "psi": [0.0, 331.0]}, False),
         ({"v": [1.0], "psi": [389.0, 0.0]}, False),
@@ -337,3 +340,26 @@ def test_a_lost_sample_and_a_pause_are_no_wrong_times() -> None:
     there = np.ones(len(T), dtype=bool)
     there[[100, *range(500, 560)]] = False
     assert odd_values({"r": np.sin(T[there])}, {"r": T[there]}) == []
+
+
+@pytest.mark.parametrize(("quantity", "factor"), [("v", 3.6), ("v", 1 / 3.6), ("delta_sw", 57.2958), ("r", 57.2958)])
+def test_a_unit_that_changes_in_the_middle_is_told_with_its_row(
+    quantity: str, factor: float, clean: dict[str, Any]
+) -> None:
+    mixed = by_rate(clean)
+    size = np.abs(mixed[quantity])
+    row = 2000 + int(np.argmax(size[2000:2500]))  # where it is not small
+    mixed[quantity] = np.where(np.arange(len(size)) < row, 1.0, factor) * mixed[quantity]
+    with pytest.raises(ValueError, match=rf"{quantity} goes from .* at row {row} .*: its unit changes there between"):
+        Drive.of(mixed)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 15.0])
+def test_a_small_car_of_a_tenth_is_read(ratio: float) -> None:
+    """F1Tenth: wheelbase 0.33 m, at 4 m/s with up to 4.4 rad/s; the servo's angle, or as if it had a steering ratio."""
+    t = 0.02 * np.arange(3000)
+    angle = 0.35 * np.sin(0.9 * t)
+    drive = Drive.of({"t": t, "v": np.full(3000, 4.0), "delta_sw": ratio * angle, "r": 4.0 * np.tan(angle) / 0.33})
+    assert np.abs(drive.r).max() == pytest.approx(4.42, abs=0.02)
+    with pytest.raises(ValueError, match=r"r reaches .* is it in deg/s"):
+        Drive.of({"t": t, "v": np.full(3000, 9.0), "delta_sw": ratio * angle, "r": 4.0 * np.tan(angle) / 0.33})

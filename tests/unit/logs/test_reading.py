@@ -83,7 +83,7 @@ def test_a_recording_of_the_real_cars_server(tmp_path: Path) -> None:
     [
         ("a.xlsx", b"x", r"a\.xlsx: an Excel workbook; save its sheet as CSV \(UTF-8\)"),
         ("a.csv", b"PK\x03\x04", "is an Excel workbook or another ZIP archive; save its sheet as CSV"),
-        ("a.odt", b"x", "a recording ends in one of, is the folder of a ROS 2 bag, or is called, .mcap"),
+        ("a.odt", b"x", "no recording; expected a file that ends in .mcap, .npz"),
         ("a.csv", b"", "the file is empty"),
         ("a.csv", b"t,v\n", "no rows under a row of names"),
         ("a.csv", b"# only\n", r"a\.csv: no rows under a row of names"),

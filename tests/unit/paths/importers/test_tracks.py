@@ -170,11 +170,34 @@ def test_of_a_stop_one_point_is_left() -> None:
     assert line.xy[:, 0].tolist() == [0, 9, 15, 21, 27]
 
 
-def test_a_gap_is_refused_with_what_to_record() -> None:
+def test_of_a_track_with_a_gap_the_longest_part_is_taken_or_the_one_that_is_chosen() -> None:
     xy, t = track(36.0)
     keep = (t < 10.0) | (t > 20.0)
-    with pytest.raises(ValueError, match=r"a gap of 13 s and 50 m after point 9 .9 s .*: .* record that stretch again"):
-        cleaned(xy[keep], t[keep] + (t[keep] > 20.0), nothing(t[keep]), 0.5, "lap")
+    of = (xy[keep], t[keep], nothing(t[keep]), 0.5, "lap")
+    line, (note,) = cleaned(*of)
+    assert np.array_equal(line.xy, xy[21:])
+    said = "a gap of 12 s and 50 m after 9 s: the longest of 2 parts is taken, 21 to 35 s, 70 of 115 m; FILE#from="
+    assert note.startswith(said)
+    line, notes = cleaned(*of, span=(1.0, 12.0))
+    assert np.array_equal(line.xy, xy[1:10])
+    assert not notes
+    with pytest.raises(ValueError, match=r"3 points with times of their own.*lasts from 0 to 35 s"):
+        cleaned(*of, span=(8.0, 21.0))
+
+
+def test_gaps_never_refuse_and_nothing_is_nan(tmp_path: FilePath) -> None:
+    """Equal times, a point alone between two pauses, times of which one is none, a file that is cut off."""
+    xy, t = track(60.0)
+    alone = t + 40.0 * (t > 20.0) + 40.0 * (t > 21.0)
+    for times in (np.floor(t / 2.0), np.zeros(60), alone, np.where(t == 9.0, np.nan, t)):
+        line, notes = cleaned(xy, times, nothing(t), 0.5, "lap")
+        assert line.v is None or np.isfinite(line.v).all()
+        assert len(notes) == (times is not alone)
+    file = road_files.gpx(XY, tmp_path / "a.gpx")
+    text = file.read_text()
+    file.write_text(text.replace('lat="', 'lat="1', 1).replace(":03Z", ":xxZ"))
+    notes = read_course(str(file)).notes
+    assert any("positions are left out, the first: <trkpt lat=" in note for note in notes), notes
     on_standby = t + 600.0 * (t > 10.0)  # ten minutes without a word, but not a metre further
     cleaned(xy, on_standby, nothing(t), 0.5, "lap")
     seldom = np.delete(np.arange(0, 36, 4), 4)  # three of its usual steps are no gap
@@ -191,19 +214,82 @@ def test_four_points_with_times_of_their_own_are_the_fewest() -> None:
 
 @pytest.mark.parametrize("by", [(900.0, 0.0), (0.0, 80.0)])
 @pytest.mark.parametrize("timed", [True, False])
-def test_a_wrong_position_is_refused(by: tuple[float, float], timed: bool) -> None:
+def test_a_wrong_position_is_refused_or_left_out(by: tuple[float, float], timed: bool) -> None:
     xy, t = track(36.0)
     xy[14] += by
     told = dict(name="lap", noise=0.5, closed=False, drawn=False)
-    with pytest.raises(ValueError, match=r"point 1[45].* a wrong position"):
-        laid(cleaned(xy, t if timed else nothing(t), nothing(t), 0.5, "lap")[0], **told)
+    line, notes = cleaned(xy, t if timed else nothing(t), nothing(t), 0.5, "lap")
+    if timed and by[0]:
+        assert notes == ["left out 1 wrong positions, which no car reaches; the first is point 14"]
+        assert np.array_equal(line.xy, np.delete(xy, 14, axis=0))
+    else:
+        with pytest.raises(ValueError, match=r"point 1[45].* a wrong position"):
+            laid(line, **told)
 
 
-def test_time_that_runs_back_is_refused() -> None:
+def test_of_two_drives_in_one_track_the_longer_one_is_taken() -> None:
     xy, t = track(36.0)
     t[20:] -= 15.0
-    with pytest.raises(ValueError, match="time runs back after point 19: two drives in one track"):
-        cleaned(xy, t, nothing(t), 0.5, "lap")
+    line, (note,) = cleaned(xy, t, nothing(t), 0.5, "lap")
+    assert np.array_equal(line.xy, xy[:20])
+    assert note.startswith("time runs back after 19 s: the longest of 2 parts is taken, 0 to 19 s")
+
+
+def test_corners_of_a_street_are_no_wrong_positions() -> None:
+    xy = np.array([(0.0, 0.0), (60.0, 0.0), (120.0, 0.0), (120.0, 40.0), (180.0, 40.0), (240.0, 40.0), (300.0, 40.0)])
+    assert laid(Line(xy=xy), name="way", noise=3.0, closed=False, drawn=True).path.length > 300.0
+    xy[3] = (120.0, 15.0)
+    with pytest.raises(ValueError, match="a wrong position"):
+        laid(Line(xy=xy * (1, 0.0) + (xy == 15.0) * (0, 15.0)), name="way", noise=1.0, closed=False, drawn=True)
+
+
+LATLON = [(52.0 + 1e-4 * k, 8.0 + 1e-5 * k) for k in range(30)]
+TCX = '<TrainingCenterDatabase xmlns="http://www.garmin.com/xmlschemas/TrainingCenterDatabase/v2">{}</TrainingCenterDatabase>'
+
+
+def test_tcx_activities_and_courses(tmp_path: FilePath) -> None:
+    point = (
+        "<Trackpoint><Time>2026-11-22T15:00:{2:02d}Z</Time><Position><LatitudeDegrees>{0}</LatitudeDegrees>"
+        "<LongitudeDegrees>{1}</LongitudeDegrees></Position><Extensions><x:TPX xmlns:x='y'><x:Speed>4.5</x:Speed>"
+        "</x:TPX></Extensions></Trackpoint>"
+    )
+    points = "".join(point.format(*at, k) for k, at in enumerate(LATLON))
+    inside = "<Trackpoint><Time>2026-11-22T15:01:00Z</Time></Trackpoint>"
+    course = f"<Courses><Course><Name>Park, run</Name><Track>{points}</Track></Course></Courses>"
+    activity = f"<Activities><Activity><Id>1</Id><Lap><Track>{points}{inside}</Track></Lap></Activity></Activities>"
+    file = tmp_path / "a.tcx"
+    file.write_text(TCX.format(activity + course))
+    found = contents(str(file))
+    assert [*found.tracks] == ["0", "Park run"]
+    assert [*zip(found.tracks["0"].a, found.tracks["0"].b)] == LATLON
+    assert [*found.tracks["0"].v] == [4.5] * 30
+    made = read_course(f"{file}#track=Park, run,from=5,noise=1")
+    assert made.path.length == pytest.approx(24 * 11.15, abs=1.0)
+
+
+def test_kml_lines_and_tracks(tmp_path: FilePath) -> None:
+    line = " ".join(f"{lon},{lat},70" for lat, lon in LATLON)
+    when = "".join(f"<when>2026-11-22T15:00:{k:02d}Z</when>" for k in range(30))
+    where = "".join(f"<gx:coord>{lon} {lat} 70</gx:coord>" for lat, lon in LATLON)
+    marks = (
+        "<Placemark><name>spot</name><Point><coordinates>8,52</coordinates></Point></Placemark>"
+        f"<Placemark><name>way</name><LineString><coordinates>\n{line}\n</coordinates></LineString></Placemark>"
+        f"<Placemark><gx:Track>{when}{where}</gx:Track></Placemark>"
+    )
+    file = tmp_path / "a.kml"
+    head = '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>'
+    file.write_text(f"{head}{marks}</Document></kml>")
+    found = contents(str(file)).tracks
+    assert [(name, one.drawn) for name, one in found.items()] == [("way", True), ("1", False)]
+    for one in found.values():
+        assert [*zip(one.a, one.b)] == LATLON
+    made = read_course(f"{file}#track=1")
+    assert made.v == pytest.approx(11.15, abs=0.05)
+    with pytest.raises(ValueError, match=r"from, to .s. choose by time"):
+        read_course(f"{file}#track=way,from=3")
+    file.write_text("<gpx/>")
+    with pytest.raises(ValueError, match="its first element is <gpx>, expected one of <kml>"):
+        contents(str(file))
 
 
 @pytest.mark.parametrize(("noise", "seed"), [(0.0, 0), (1.0, 0), (1.0, 1), (1.0, 2)])
