@@ -32,6 +32,11 @@ def aligned(values: dict[str, Array], times: dict[str, Array], where: str, notes
     if all(t is first for t in times.values()):
         times.clear()
         return {"t": first} | {quantity: values.pop(quantity) for quantity in list(values)}
+    for quantity, t in times.items():
+        steps = np.diff(t[np.isfinite(t) & np.isfinite(values[quantity])])
+        for count, what in ((steps < 0.0, "came out of order"), (steps == 0.0, "repeat the time of the one before")):
+            if count.any():
+                notes.append(f"{count.sum()} samples of {quantity} {what}")
     series = {quantity: in_order(times.pop(quantity), values.pop(quantity)) for quantity in list(values)}
     for quantity, (t, _) in series.items():
         require(len(t) >= 2, where, f"{quantity} has {len(t)} samples that are numbers, expected more")
@@ -290,7 +295,7 @@ def _whole_rows(columns: dict[str, Array], name: str, remarks: list[str]) -> dic
         _keep(columns, finite)
     t = columns["t"]
     stray = standing_off(t, max(5.0 * float(np.median(np.abs(np.diff(t)))), 0.25))  # of a spoilt digit, say
-    stray = stray[(t[stray] - t[stray - 1]) * (t[stray + 1] - t[stray]) < 0.0]  # not one at a gap near an end
+    stray = stray[np.sign(t[stray] - t[stray - 1]) * np.sign(t[stray + 1] - t[stray]) < 0.0]  # not one at a gap
     if len(stray):
         remarks.append(f"dropped {len(stray)} rows whose time is far from that of the rows around them")
         _keep(columns, np.delete(np.arange(len(t)), stray))

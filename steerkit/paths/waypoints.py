@@ -23,6 +23,8 @@ _FEWEST_CLOSED = 6
 
 _CALLED = {"x": "x", "y": "y", "lat_deg": "lat", "lon_deg": "lon", "t": "t", "v": "v"}
 """Quantities, and what their columns are called here."""
+_READ = (*_CALLED.values(), "s", "psi", "kappa", "v_limit")
+"""Columns that have to hold numbers."""
 _SCALES = {unit: factor for units in FACTORS.values() for unit, factor in units.items()}
 
 
@@ -40,13 +42,19 @@ def read_columns(text: str, where: str) -> dict[str, Array]:
     table = text_table((found[0] for found in re.finditer(r"[^\r\n]*(?:\r\n?|\n|\Z)", text)), where)
     columns = _named(table.names, where)
     values = array("d")  # of a row of text at a time: all of it as text would take twenty times the file
+    said = set[int]()
     for k, line, numbers in table.rows:
-        if None in numbers or len(numbers) != len(columns):
+        if not values:  # columns of words that nothing here reads
+            said = {n for n, (one, _) in zip(range(len(numbers)), columns) if numbers[n] is None and one not in _READ}
+        if len(numbers) == len(columns):
+            numbers = [number for n, number in enumerate(numbers) if n not in said]
+        if None in numbers or len(numbers) != len(columns) - len(said):
             names = ",".join(table.names)
             raise ValueError(f"{where}: line {k} is {line[:200]!r}, expected {len(columns)} numbers ({names})")
         values.extend(numbers)  # type: ignore[arg-type]
     if not values:
         raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
+    columns = [column for n, column in enumerate(columns) if n not in said]
     rows = np.frombuffer(values).reshape(-1, len(columns)).T
     return {name: row if factor == 1.0 else factor * row for (name, factor), row in zip(columns, rows)}
 

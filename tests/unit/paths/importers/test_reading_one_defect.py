@@ -1,0 +1,226 @@
+"""Good maps and tracks of others' writers with one defect each open in their good part, with the defect named; and
+files damaged by their structure lead to a course of numbers, or are refused in words."""
+
+import math
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path as FilePath
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from steerkit.paths.importers import contents, read_course
+from tests.support import road_files
+
+COUNT = int(os.environ.get("STEERKIT_DAMAGED", "12"))
+"""Damaged files a format."""
+T = np.arange(0.0, 60.0, 1.0)
+XY = np.column_stack((5.0 * T, 20.0 * np.sin(T / 15.0)))
+
+
+def gpx(file: FilePath) -> FilePath:
+    return road_files.gpx(XY, file)
+
+
+def changed(old: str, new: str) -> Callable[[str], str]:
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new, 1)
+
+    return change
+
+
+def without(first: int, last: int) -> Callable[[str], str]:
+    """Without some of the track's points."""
+
+    def change(text: str) -> str:
+        head, *points = text.split("<trkpt")
+        return "<trkpt".join([head, *points[:first], *points[last:]])
+
+    return change
+
+
+def elsewhere(text: str) -> str:
+    head, *points = text.split('<trkpt lat="52.')
+    points[20] = f"3{points[20]}"
+    return '<trkpt lat="52.'.join([head, *points])
+
+
+def swapped(text: str) -> str:
+    head, *points = text.split("<trkpt")
+    return "<trkpt".join([head, *points[40:-1], *points[:40], points[-1]])
+
+
+TRACKS: dict[str, tuple[Callable[[str], str], str]] = {
+    "a gap": (without(25, 37), "a gap of 13 s and"),
+    "cut off": (lambda text: text[: 3 * len(text) // 4], "all that follows"),
+    "time runs back": (swapped, "time runs back after"),
+    "a time that is none": (changed(":07Z", ":7xZ"), "positions are left out, the first: time is"),
+    "a time twice": (changed(":07Z", ":06Z"), "points without a time of their own"),
+    "a latitude that is none": (changed('lat="5', 'lat="x5'), "1 positions are left out, the first: <trkpt lat="),
+    "a latitude off Earth": (changed('lat="5', 'lat="95'), "1 positions are left out, the first: <trkpt lat="),
+    "a position elsewhere": (elsewhere, "wrong positions, which no car reaches"),
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("defect", TRACKS)
+def test_a_track_with_one_defect_opens_in_its_good_part(defect: str, seed: int, tmp_path: FilePath) -> None:
+    """gpxpy's files, of three ways."""
+    change, says = TRACKS[defect]
+    turn = 0.7 * seed
+    xy = XY @ np.array([(math.cos(turn), math.sin(turn)), (-math.sin(turn), math.cos(turn))])
+    file = road_files.gpx(xy, tmp_path / "a.gpx")
+    whole = read_course(str(file)).path
+    file.write_text(change(file.read_text()))
+    made = read_course(str(file))
+    assert says in " ".join(made.notes), made.notes
+    assert made.v is not None
+    assert np.isfinite(made.v).all()
+    assert made.v == pytest.approx(float(np.median(made.v)), rel=0.4)
+    assert 0.35 * whole.length < made.path.length < 1.02 * whole.length
+
+
+def savetxt(file: FilePath) -> None:
+    np.savetxt(file, XY, delimiter=",", header="x_m,y_m")
+
+
+def pandas(file: FilePath, **options: object) -> None:
+    pd.DataFrame({"x": XY[:, 0], "y": XY[:, 1], "note": "a"}).to_csv(file, **options)  # type: ignore[call-overload]
+
+
+TABLES: dict[str, Callable[[FilePath], None]] = {
+    "savetxt with a comment header": savetxt,
+    "pandas with its index": pandas,
+    "pandas with ;": lambda file: pandas(file, sep=";", index=False),
+    "pandas with decimal commas": lambda file: pandas(file, sep=";", decimal=",", index=False),
+    "pandas in UTF-16": lambda file: pandas(file, encoding="utf-16", index=False),
+    "pandas with Windows' line ends": lambda file: pandas(file, lineterminator="\r\n", index=False),
+    "pandas with quotes": lambda file: pandas(file, quoting=1, index=False),
+    "pandas with tabs": lambda file: pandas(file, sep="\t", index=False),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_numpy_and_pandas_are_courses(name: str, tmp_path: FilePath) -> None:
+    file = tmp_path / "a.csv"
+    TABLES[name](file)
+    path = read_course(str(file)).path
+    assert np.hypot(*(np.asarray(path.point(np.asarray(path.samples.s))) - path.samples.xy).T).max() < 1e-6
+    assert path.samples.xy[0] == pytest.approx(XY[0], abs=1e-6)
+    assert path.samples.xy[-1] == pytest.approx(XY[-1], abs=1e-6)
+
+
+@pytest.mark.parametrize("road", ["1", "2", "3"])
+@pytest.mark.parametrize("defect", ["no length", "a length that is no number", "a heading that is no number"])
+def test_a_map_with_one_faulty_road_opens_without_it(defect: str, road: str, tmp_path: FilePath) -> None:
+    """scenariogeneration's crossing: an arm is faulty, and the others stay as they were."""
+    file = road_files.junction(tmp_path / "a.xodr")
+    before = contents(str(file))
+    tree = ElementTree.parse(file)
+    (bad,) = (node for node in tree.iter("road") if node.get("id") == road)
+    geometry = next(bad.iter("geometry"))
+    key, value = {"no length": ("length", None), "a length that is no number": ("length", "x6")}.get(
+        defect, ("hdg", "nan")
+    )
+    geometry.attrib.pop(key)
+    if value is not None:
+        geometry.set(key, value)
+    tree.write(file)
+    found = contents(str(file))
+    assert [*found.faulty] == [road]
+    assert key in found.left_out[0]
+    for name in found.groups:
+        assert found.length_of(name) == before.length_of(name)
+    assert found.groups.keys() == before.groups.keys() - {road}
+
+
+def yard(file: FilePath) -> FilePath:
+    return road_files.geojson(XY, file)
+
+
+def table(file: FilePath) -> FilePath:
+    savetxt(file)
+    return file
+
+
+def tcx(file: FilePath) -> FilePath:
+    lat, lon = road_files.positions(XY)
+    point = (
+        "<Trackpoint>\n<Time>2026-11-22T15:00:{:02d}Z</Time>\n<Position>\n<LatitudeDegrees>{}</LatitudeDegrees>\n"
+        "<LongitudeDegrees>{}</LongitudeDegrees>\n</Position>\n</Trackpoint>\n"
+    )
+    points = "".join(point.format(k, *at) for k, at in enumerate(zip(lat.tolist(), lon.tolist())))
+    head = "<TrainingCenterDatabase>\n<Courses>\n<Course>\n<Track>\n"
+    file.write_text(f"{head}{points}</Track>\n</Course>\n</Courses>\n</TrainingCenterDatabase>\n")
+    return file
+
+
+def kml(file: FilePath) -> FilePath:
+    lat, lon = road_files.positions(XY)
+    points = "\n".join(f"{b},{a},0" for a, b in zip(lat.tolist(), lon.tolist()))
+    line = f"<LineString>\n<coordinates>\n{points}\n</coordinates>\n</LineString>\n"
+    file.write_text(f"<kml>\n<Placemark>\n<name>way</name>\n{line}</Placemark>\n</kml>\n")
+    return file
+
+
+FORMATS: dict[str, tuple[Callable[[FilePath], FilePath], str]] = {
+    "a.gpx": (gpx, ""),
+    "a.geojson": (yard, ""),
+    "a.csv": (table, "#noise=0.1"),
+    "a.tcx": (tcx, ""),
+    "a.kml": (kml, ""),
+    "a.xodr": (road_files.junction, "#road=1,lane=-1"),
+}
+ODD = ["", "nan", "inf", "-1e9", "1e309", "x", "0", "é", "9" * 400, "-1", "<a>"]
+
+
+def damaged(text: str, rng: np.random.Generator) -> str:
+    """By its structure: an element, line or number is doubled, moved, left out or changed; or the file is cut off."""
+    kind, mark = int(rng.integers(5)), "<" if text.count("\n") < 20 else "\n"
+    mark = "," if "<" not in text and mark == "<" else mark
+    pieces = text.split(mark)
+    k, to = rng.integers(len(pieces), size=2).tolist()
+    if kind == 0:
+        del pieces[k]
+    elif kind == 1:
+        pieces.insert(to, pieces[k])
+    elif kind == 2:
+        pieces[k], pieces[to] = pieces[to], pieces[k]
+    elif kind == 3:
+        return text[: int(rng.integers(len(text)))]
+    else:
+        digits = [at for at in range(1, len(text)) if text[at].isdigit() and not text[at - 1].isdigit()]
+        at = int(rng.choice(digits))
+        end = next((e for e in range(at, len(text)) if text[e] not in "0123456789.e-"), len(text))
+        return text[:at] + str(rng.choice(ODD)) + text[end:]
+    return mark.join(pieces)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_damaged_map_is_a_course_of_numbers_or_refused_in_words(name: str, tmp_path: FilePath) -> None:
+    make, choice = FORMATS[name]
+    file = make(tmp_path / name)
+    text = file.read_text()
+    assert read_course(f"{file}{choice}").path.length > 50.0
+    rng = np.random.default_rng(39)
+    opened, said = 0, list[str]()
+    for number in range(COUNT):
+        file.write_text(damaged(text, rng))
+        begun = time.perf_counter()
+        try:
+            made = read_course(f"{file}{choice}")
+        except ValueError as error:
+            said.append(str(error))
+            continue
+        finally:
+            assert time.perf_counter() - begun < 5.0, f"file {number} took too long"
+        opened += 1
+        assert np.isfinite(made.path.samples.xy).all(), f"file {number}"
+        assert np.isfinite(made.path.samples.kappa).all(), f"file {number}"
+        assert made.v is None or np.isfinite(made.v).all(), f"file {number}"
+    assert all(len(one.splitlines()) <= 10 for one in said)
+    assert opened or name == "a.geojson", "JSON is refused whole"
