@@ -353,15 +353,15 @@ def _is_small(r: Array, v: Array) -> bool:
 
 def _check_units(columns: dict[str, Array], name: str) -> None:
     """ValueError where a signal jumps by what lies between two of its units, and as its size goes on so."""
-    for quantity, factor, what in (
-        ("v", 3.6, "m/s and km/h"),
-        ("delta_sw", 1.0 / RAD_PER_DEG, "rad and deg"),
-        ("r", 1.0 / RAD_PER_DEG, "rad/s and deg/s"),
+    for quantity, least, factor, what in (  # least: below, a sensor that wakes up may jump so
+        ("v", 1.0, 3.6, "m/s and km/h"),
+        ("delta_sw", 0.02, 1.0 / RAD_PER_DEG, "rad and deg"),
+        ("r", 0.005, 1.0 / RAD_PER_DEG, "rad/s and deg/s"),
     ):
         size, t = np.abs(columns.get(quantity, np.zeros(2))), columns["t"]
         pair = np.sort(np.column_stack((size[:-1], size[1:])))
         jump = pair[:, 1] - pair[:, 0] > FASTEST[quantity] * np.maximum(np.diff(t), 1e-3)
-        rows = np.flatnonzero(jump & (np.abs(pair[:, 1] / np.maximum(pair[:, 0], 1e-9) / factor - 1.0) < 0.1)) + 1
+        rows = np.flatnonzero(jump & (np.abs(pair[:, 1] / np.maximum(pair[:, 0], least) / factor - 1.0) < 0.1)) + 1
         for row in rows:
             near = (np.median(size[max(row - 8, 0) : row]), np.median(size[row : row + 8]))
             if abs(max(near) / max(min(near), 1e-9) / factor - 1.0) < 0.2:

@@ -363,3 +363,11 @@ def test_a_small_car_of_a_tenth_is_read(ratio: float) -> None:
     assert np.abs(drive.r).max() == pytest.approx(4.42, abs=0.02)
     with pytest.raises(ValueError, match=r"r reaches .* is it in deg/s"):
         Drive.of({"t": t, "v": np.full(3000, 9.0), "delta_sw": ratio * angle, "r": 4.0 * np.tan(angle) / 0.33})
+
+
+def test_a_speed_sensor_that_wakes_up_is_no_change_of_unit(clean: dict[str, Any]) -> None:
+    woken = by_rate(clean)
+    woken["v"] = np.where(
+        np.arange(len(woken["v"])) < 100, np.where(np.arange(len(woken["v"])) < 50, 0.3, 1.08), woken["v"]
+    )
+    assert len(Drive.of(woken).v) == len(Drive.of(by_rate(clean)).v)
