@@ -35,6 +35,7 @@ KEYS = {
     ),
     "from_logs": "good logs refused share",
     "gym_steps": "conditions steps_per_cpu_second vector_steps_per_second x_sync_vector_env",
+    "intervals": "intervals",
     "learning": "final_rms_e_worst good_median good_share outcomes seeds setting",
     "mpc_solve": (
         "ltv20_ms ltv20_p99_ms ltv20_raw_qp_ms ltv20_unsolved ltv20_x_raw_qp ltv40_ms nmpc20_ms nmpc20_raw_qp_ms "
@@ -146,6 +147,11 @@ def sensible(name: str, f: Any) -> None:
             (log,) = f["logs"]
             assert (f["good"], f["refused"]) == (log["good"], 0)  # after one update it is good on some processors only
             assert 0.001 < log["rms_e"] < 0.5
+        case "intervals":
+            for name in ("delay_lag",):  # of three drives each
+                for part in ("made, gyro alone", "made, with heading"):
+                    row = f["intervals"][f"{part}: {name}"]
+                    assert row["told_pct"] == 0.0 or row["hold_pct"] > 60.0, (part, name)
         case "gym_steps":
             assert all(rate > 0.0 for rates in f["steps_per_cpu_second"].values() for rate in rates.values())
             assert f["x_sync_vector_env"] > 3.0
