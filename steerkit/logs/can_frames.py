@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import logging
 import math
 import re
 from array import array
@@ -59,10 +60,22 @@ def read_asc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
 
 
 def read_trc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
-    """PEAK's text form."""
-    reader = _python_can(path).TRCReader
-    with _opened(path) as stream:
-        return _tables(_frames(reader(stream)), path, dbc, notes)
+    """PEAK's text form: lines that are none are left out."""
+    reader, odd, log = _python_can(path).TRCReader, list[str](), logging.getLogger("can.io.trc")
+
+    def told(record: logging.LogRecord) -> bool:  # python-can only logs what it leaves out
+        odd.extend([record.getMessage()] * (record.levelno >= logging.WARNING))
+        return not odd
+
+    log.addFilter(told)
+    try:
+        with _opened(path) as stream:
+            tables = _tables(_frames(reader(stream)), path, dbc, notes)
+    finally:
+        log.removeFilter(told)
+    if odd:
+        notes.append(f"left out {len(odd)} lines that are no frames")
+    return tables
 
 
 def read_blf(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:

@@ -89,3 +89,12 @@ def test_a_wrong_dbc_teaches(dbc: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "broken.dbc").write_text("BO_ 37 WHEEL 8 CAR\n")
     with pytest.raises(ValueError, match=says):
         read_log(file, dbc=[str(tmp_path / dbc) if dbc.endswith(".dbc") else dbc] if dbc else ())
+
+
+def test_lines_of_trc_that_are_no_frames_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, how = written("trc", tmp_path, driven())
+    lines = file.read_text().splitlines()
+    lines[100], lines[300] = lines[100][:20], "garbage"
+    file.write_text("\n".join(lines))
+    assert "left out 2 lines that are no frames" in read_drive(file, **how).notes
+    assert not capsys.readouterr().err
