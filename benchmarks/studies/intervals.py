@@ -146,10 +146,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     answer: dict[str, Any] = {}
     for part, name in dict.fromkeys(row[:2] for row in rows):
         mine = [row for row in rows if row[:2] == (part, name)]
-        told = [row for row in mine if row[2]]
-        hold = 100.0 * float(np.mean([row[3] for row in told])) if told else float("nan")
-        width, error = (float(np.median([abs(row[k]) for row in told or mine])) for k in (4, 5))
-        share = 100.0 * len(told) / len(mine)
+        known = [row for row in mine if row[2]]
+        hold = 100.0 * float(np.mean([row[3] for row in known])) if known else float("nan")
+        width, error = (float(np.median([abs(float(row[k])) for row in known or mine])) for k in (4, 5))
+        share = 100.0 * len(known) / len(mine)
         hold_or_none = None if np.isnan(hold) else hold
         answer[f"{part}: {name}"] = {"told_pct": share, "hold_pct": hold_or_none, "width": width, "error": error}
         table.add_row(part, name, f"{share:.0f}", f"{hold:.0f}", f"{width:.3g}", f"{error:.3g}")
