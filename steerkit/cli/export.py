@@ -10,13 +10,15 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from steerkit._support.errors import require
 from steerkit._support.files import write_text
+from steerkit.cli.log import record_of
 from steerkit.diagram.simulation import Log
 from steerkit.export import car as cars
 from steerkit.learning import rundir
-from steerkit.logs import read_drive
 from steerkit.logs.foxglove import layout as write_layout
 from steerkit.logs.foxglove import to_mcap
+from steerkit.logs.tables import write_mf4
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.file import tables_of, text_of
 
@@ -32,6 +34,7 @@ def export(
         Path | None, typer.Option(help="A log, or a run's last drive, for Foxglove and PlotJuggler.")
     ] = None,
     csv: Annotated[Path | None, typer.Option(help="The same as a table, .csv or .parquet.")] = None,
+    mf4: Annotated[Path | None, typer.Option(help="The same as MDF 4, .mf4.")] = None,
     layout: Annotated[
         Path | None, typer.Option(help="The layout for --mcap: a .json for Foxglove, an .xml for PlotJuggler.")
     ] = None,
@@ -40,21 +43,21 @@ def export(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")] = False,
 ) -> None:
-    """Export a learning run (policy to ONNX, transitions to Minari), a log (MCAP, CSV), or a car (CommonRoad,
-    opendbc)."""
-    wanted = (onnx, minari, mcap, csv, layout, commonroad, opendbc)
+    """Export a learning run (policy to ONNX, transitions to Minari), a log (MCAP, CSV, MF4), or a car
+    (CommonRoad, opendbc)."""
+    wanted = (onnx, minari, mcap, csv, mf4, layout, commonroad, opendbc)
     if all(one is None for one in wanted):
         raise ValueError(
-            "export: nothing to do; give --onnx FILE or --minari NAME of a run, --mcap, --csv or --layout FILE "
+            "export: nothing to do; give --onnx FILE or --minari NAME of a run, --mcap, --csv, --mf4 or --layout FILE "
             "of a log, --commonroad or --opendbc FILE of a car"
         )
     console, done = Console(quiet=quiet, soft_wrap=True), dict[str, Any]()
     if commonroad is not None or opendbc is not None:
         _car(run, commonroad, opendbc)
         console.print(f"car: {', '.join(str(file) for file in (commonroad, opendbc) if file is not None)}")
-    if mcap is not None or csv is not None:
-        done |= _log(run, mcap, csv)
-        console.print(f"log: {', '.join(str(file) for file in (mcap, csv) if file is not None)}")
+    if any(logs := [file for file in (mcap, csv, mf4) if file is not None]):
+        done |= _log(record_of(run), mcap, csv, mf4)
+        console.print(f"log: {', '.join(map(str, logs))}")
     if layout is not None:
         kinds = {".json": "foxglove", ".xml": "plotjuggler"}
         if layout.suffix not in kinds:
@@ -71,19 +74,17 @@ def export(
         print(json.dumps(done))
 
 
-def _log(source: Path, mcap: Path | None, csv: Path | None) -> dict[str, Any]:
-    if (source / "run.json").exists():
-        record = rundir.drive_log(source)
-    elif source.suffix == ".npz":
-        record = Log.load(source)
-    else:
-        record = read_drive(source).to_log()
+def _log(record: Log, mcap: Path | None, csv: Path | None, mf4: Path | None) -> dict[str, Any]:
     done: dict[str, Any] = {}
     if mcap is not None:
         done["mcap"] = to_mcap(record, mcap)
     if csv is not None:
         record.save(csv)
         done["csv"] = str(csv)
+    if mf4 is not None:
+        require(mf4.suffix == ".mf4", f"--mf4 {mf4}", "expected a name that ends in .mf4")
+        write_mf4(record, mf4)
+        done["mf4"] = str(mf4)
     return done
 
 

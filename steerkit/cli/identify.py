@@ -15,6 +15,7 @@ from rich.table import Table
 
 from steerkit import identification as ident
 from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
+from steerkit.plots.page import check_page, write_page
 from steerkit.plots.style import save
 from steerkit.vehicles import scaled, vehicle
 
@@ -36,6 +37,7 @@ def identify(
     name: Annotated[str, typer.Option(help="Name of the car in the file.")] = "",
     out: Annotated[Path | None, typer.Option(help="Vehicle file to write (.toml); else it is printed.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg).")] = None,
+    report: Annotated[Path | None, typer.Option(help="All of it as one page to hand on (.html).")] = None,
     dt: Annotated[
         float | None, typer.Option(help="Step of the common clock in s; default: the log's, 0.01 to 0.05.")
     ] = None,
@@ -57,9 +59,10 @@ def identify(
     """
     if out is not None and out.suffix != ".toml":
         raise ValueError(f"--out {out}: a vehicle file ends in .toml")
+    check_page(report)
     to_pipe = not as_json and out is None  # then the vehicle file alone goes to standard output
-    console = Console(stderr=to_pipe)
-    console = console if console.is_terminal else Console(stderr=to_pipe, width=110)
+    console = Console(stderr=to_pipe, record=True)
+    console = console if console.is_terminal else Console(stderr=to_pipe, record=True, width=110)
     given = column_map(columns, column)
     how: Any = {"dbc": dbc or (), "steer_ratio": steer_ratio, "dt": dt, "trusted": trust_units}
     car = vehicle(base)
@@ -78,6 +81,10 @@ def identify(
         console.print(f"vehicle file: {out}", soft_wrap=True)
     elif not as_json:
         print(identified.text(command=command, held_out=prediction), end="")
+    if report is not None:
+        verdict, figures = identified.verdict(prediction), [identified.plot(prediction)]
+        write_page(report, console, f"{identified.vehicle.name}, identified", verdict, figures)
+        console.print(f"report: {report}", soft_wrap=True)
     if plot is not None:
         save(identified.plot(prediction), plot)
         console.print(f"picture: {plot}", soft_wrap=True)

@@ -202,7 +202,10 @@ def _learned(experiment: Experiment, place: Path, *, quiet: bool, live: bool, ea
         print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
         raise
     except OSError as error:
-        error.add_note(f"the run is kept up to its last training; the same with --out {place} goes on from there")
+        if (place / "run.json").exists():
+            error.add_note(f"the run is kept up to its last training; the same with --out {place} goes on from there")
+        else:
+            error.add_note(f"nothing was learned: --out {place} cannot be written; give another directory")
         raise
 
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
+from rich.table import Column, Table
 
 from steerkit._support.errors import require
 from steerkit.cli.options import Machine, Quiet
 from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
-from steerkit.logs import ColumnMap
+from steerkit.logs import ColumnMap, read_drive
 from steerkit.logs.contents import contents, picture
 from steerkit.logs.reading import read_log
 from steerkit.plots.notebook import telling
@@ -55,8 +56,10 @@ def log(
     console = Console(stderr=as_json, quiet=quiet and not as_json)
     console = console if console.is_terminal else Console(stderr=as_json, width=130, quiet=quiet)
     found = contents(read_log(files, dbc=dbc or (), time=given.columns.get("t")), given, steer_ratio=steer_ratio)
-    more = [f"--dbc {one}" for one in dbc or ()] + ([f"--steer-ratio {steer_ratio:g}"] if steer_ratio else [])
-    _report(console, found, [*files, *more])
+    more = [word for one in dbc or () for word in ("--dbc", one)] + (["--map", str(columns)] if columns else [])
+    more += [word for one in column or () for word in ("--column", one)]
+    more += ["--steer-ratio", f"{steer_ratio:g}"] if steer_ratio else []
+    _report(console, found, shlex.join([*files, *more]))
     if plot is not None:
         save(picture(found), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
@@ -76,8 +79,9 @@ def column_map(file: Path | None, words: list[str] | None) -> ColumnMap:
     return ColumnMap({**table, **ColumnMap.parsed(words or ()).columns})
 
 
-def _report(console: Any, found: Any, said: list[str]) -> None:
-    table = Table("channel", "unit", "samples", "rate", "from", "to", "gaps", "range", "read as", title=found.log.name)
+def _report(console: Any, found: Any, said: str) -> None:
+    columns = ("unit", "samples", "rate", "from", "to", "gaps", "range", "read as")
+    table = Table(Column("channel", overflow="fold"), *columns, title=found.log.name)
     for row in found.rows:
         gaps = f"{row.gaps}, {row.longest:.3g} s" if row.gaps else "none"
         spoilt = f", {row.invalid} no number" if row.invalid else ""
@@ -101,13 +105,13 @@ def _report(console: Any, found: Any, said: list[str]) -> None:
     drive = found.drive
     console.print(f"a drive of {drive.t[-1]:.1f} s at {1.0 / drive.dt:.0f} Hz", highlight=False)
     if drive.turns:
-        console.print(
-            f"next: steerkit identify {escape(' '.join(said))} --out my-car.toml", soft_wrap=True, highlight=False
-        )
+        console.print(f"next: steerkit identify {escape(said)} --out my-car.toml", soft_wrap=True, highlight=False)
 
 
 def plot(
-    log: Annotated[Path, typer.Argument(help="A log, such as drive.npz, or the directory of a learning run.")],
+    log: Annotated[
+        Path, typer.Argument(help="A log of ours, drive.npz; of any program; or the directory of a learning run.")
+    ],
     signals: Annotated[
         list[str] | None, typer.Argument(help="Signals, such as path.e car.v; default: the most informative.")
     ] = None,
@@ -120,9 +124,21 @@ def plot(
     require(drawn.suffix in _PICTURES, f"--out {drawn}", f"expected a name that ends in {', '.join(_PICTURES)}")
     tables = table is None or table.suffix in (".csv", ".parquet")
     require(tables, f"--table {table}", "expected a name that ends in .csv or .parquet")
-    record = rundir.drive_log(log) if log.is_dir() else Log.load(log)
+    record = record_of(log)
     save(record.plot(*(signals or telling(record))), drawn)
     if table is not None:
         record.save(table)
     if not quiet:
         print(f"{record!r}\npicture: {drawn}{f', table: {table}' if table else ''}")
+
+
+def record_of(place: Path) -> Log:
+    """The signals of a learning run's directory, of a log of ours, or of the drive in one of another program."""
+    if (place / "run.json").exists():
+        return rundir.drive_log(place)
+    if place.suffix == ".npz":
+        return Log.load(place)
+    try:
+        return read_drive(place).to_log()
+    except ValueError as error:
+        raise ValueError(f"{error}; for its channels as they are: steerkit log {place} --plot log.png") from error

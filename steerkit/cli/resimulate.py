@@ -18,6 +18,7 @@ from steerkit.logs import read_drive
 from steerkit.logs import resimulate as again
 from steerkit.plants.steering_actuator import SteeringActuator, steering_in, steering_of
 from steerkit.plots.animation import film_writer
+from steerkit.plots.page import check_page, write_page
 from steerkit.plots.style import save
 from steerkit.vehicles import vehicle as vehicle_named
 
@@ -38,8 +39,11 @@ def resimulate(
     vehicle: Annotated[str, typer.Option(help="Vehicle file of the car; default: identified from the drive.")] = "",
     columns: Map = None,
     column: Columns = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg), of one controller.")] = None,
-    film: Annotated[Path | None, typer.Option(help="Film to write: .gif, or .mp4 with ffmpeg; the same.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg).")] = None,
+    report: Annotated[Path | None, typer.Option(help="All of it as one page to hand on (.html).")] = None,
+    film: Annotated[
+        Path | None, typer.Option(help="Film to write, of one controller: .gif, or .mp4 with ffmpeg.")
+    ] = None,
     film_lasts: Annotated[float, typer.Option(help="Length of the film in s, 1 to 120.")] = 10.0,
     quiet: Quiet = False,
     as_json: Machine = False,
@@ -50,14 +54,14 @@ def resimulate(
     identified from the drive. Compared where it was recorded at 3 m/s or faster, over 20 samples a second.
     """
     names = controller or ["mpc"]
-    for option, file in (("--plot", plot), ("--film", film)):
-        if file is not None and len(names) > 1:
-            raise ValueError(f"{option} {file}: shows one controller, not {', '.join(names)}")
+    check_page(report)
     if film is not None:  # before a long drive
+        require(len(names) == 1, f"--film {film}", f"shows one controller, not {', '.join(names)}")
         require(1.0 <= film_lasts <= 120.0, "--film-lasts", f"{film_lasts:g} [s], expected 1 to 120")
         film_writer(film)
     drive = read_drive(recording, column_map(columns, column))
-    console = Console(stderr=as_json)
+    console = Console(stderr=as_json, record=True)
+    console = console if console.is_terminal else Console(stderr=as_json, record=True, width=110)
     car, steering, car_text = _car(vehicle, drive)
     if not quiet:
         for note in (*drive.notes, car_text):
@@ -65,11 +69,15 @@ def resimulate(
     driven = [again.resimulate(drive, name, vehicle=car, steering=steering, progress=not quiet) for name in names]
     if as_json:
         print(json.dumps({"resimulated": [one.figures() for one in driven], "car": car_text}))
-    else:
+    if not as_json or report is not None:
         _report(console, driven)
     if plot is not None:
-        save(again.compared(driven[0]), plot)
+        save(again.compared(*driven), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
+    if report is not None:
+        verdict = [one.verdict() for one in driven]
+        write_page(report, console, f"{drive.name}, driven again", verdict, [again.compared(*driven)])
+        console.print(f"report: {report}", soft_wrap=True)
     if film is not None:
         console.print(f"film: {again.film(driven[0], film, lasts=film_lasts, progress=not quiet)}", soft_wrap=True)
 

@@ -85,6 +85,9 @@ def mistake(error: Exception, place: Place) -> str:
         return f"sets an attribute ({text}); a block keeps nothing: give it a state by `init`, changed by `update`"
     if "does not support item assignment" in text or "can't set attribute" in text:
         return f"changes a state or an input in place ({text}); return a new one: State(z + self.dt * u.e)"
+    state = isinstance(error, IndexError) or "values to unpack" in text or "'tuple' object has no attribute" in text
+    if state and place.called and type(block).init is Block.init and place.method in ("output", "update"):
+        return "reads a state, but its `init` is missing; write one that returns the state at first, such as (0.0,)"
     if isinstance(error, AttributeError) and type(error.obj).__name__ in ("U", "D") and place.called:
         return _no_input(error, block, place.method)
     if isinstance(error, TypeError) and text.startswith("Y.__new__()"):

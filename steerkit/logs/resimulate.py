@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -20,7 +21,7 @@ from steerkit.paths.path import Path
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.plots.style import COLOURS, new_figure, style
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
 from steerkit.scenario.assembly import bare, steering_loop
 from steerkit.scenario.catalogue import DesignModel, make_controller
 from steerkit.task import A_Y_MAX, DT, JERK_MAX
@@ -112,6 +113,19 @@ class Resimulated:
         for who, wheel, a_y in (("driven", self.driven, self.a_y_driven), ("again", self.again, self.a_y)):
             answer[who] = _within(wheel, a_y, use, dt, float(self.vehicle.delta_sw_max))
         return answer
+
+    def verdict(self) -> str:
+        """What a person would say of it, in a sentence."""
+        found = self.figures()
+        driven, again = found["driven"], found["again"]
+        speed = again["rms_wheel_speed_deg_s"] / max(driven["rms_wheel_speed_deg_s"], 1e-9)
+        beyond = again["seconds_beyond_a_y"] + again["seconds_beyond_jerk"]
+        limits = f"beyond the limits of a_y or jerk for {beyond:.1f} s" if beyond else "always within a_y and jerk"
+        return (
+            f"{self.controller} stays within {found['max_e']:.2f} m of the driven way, turns the wheel {speed:.2f} "
+            f"times as fast (RMS) as was driven, and is {limits}; it steers otherwise by "
+            f"{found['rms_differs_deg']:.1f} degrees RMS, {found['max_differs_deg']:.1f} at most."
+        )
 
 
 def _within(wheel: Array, a_y: Array, use: NDArray[np.bool_], dt: float, stop: float) -> dict[str, float]:
@@ -228,22 +242,23 @@ def _run(loop: Loop, seconds: float, progress: bool) -> Log:
         return simulate(loop, seconds, record=kept, every=ticks, progress=progress)
 
 
-def compared(again: Resimulated) -> Any:
-    """Both angles over time, their difference with the places where it is largest, and a_y within its limit."""
-    t = again.t
+def compared(*driven: Resimulated) -> Any:
+    """The angles over time, their differences with the places where they are largest, and a_y within its limit."""
+    first, t = driven[0], driven[0].t
+    names = ", ".join(again.controller for again in driven)
     with style():
-        title = f"{again.name}: {again.controller} on the same way"
-        figure, (wheel, differs, a_y) = new_figure(3, title=title)
-        wheel.plot(t, degrees_of(again.driven), color=COLOURS["muted"], lw=2.0, alpha=0.7, label="as driven")
-        wheel.plot(t, degrees_of(again.again), color=COLOURS["analytic"], lw=0.8, label=again.controller)
+        figure, (wheel, differs, a_y) = new_figure(3, title=f"{first.name}: {names} on the same way")
+        wheel.plot(t, degrees_of(first.driven), color=COLOURS["muted"], lw=2.0, alpha=0.7, label="as driven")
+        a_y.plot(t, np.asarray(first.a_y_driven), color=COLOURS["muted"], lw=0.8)
+        for again, colour in zip(driven, cycle((COLOURS["analytic"], COLOURS["learned"], *PALETTE[2:]))):
+            wheel.plot(t, degrees_of(again.again), color=colour, lw=0.8, label=again.controller)
+            differs.plot(t, degrees_of(again.differs), color=colour, lw=0.8)
+            for place in again.places():
+                differs.plot(place["t"], place["differs_deg"], "o", color=colour, ms=4)
+            a_y.plot(t, np.asarray(again.a_y), color=colour, lw=0.8)
         wheel.set_ylabel("wheel [deg]")
         wheel.legend(loc="upper right")
-        differs.plot(t, degrees_of(again.differs), color=COLOURS["analytic"], lw=0.8)
-        for place in again.places():
-            differs.plot(place["t"], place["differs_deg"], "o", color=COLOURS["learned"], ms=4)
         differs.set_ylabel("differs by [deg], + = left")
-        for values, colour in ((again.a_y_driven, COLOURS["muted"]), (again.a_y, COLOURS["analytic"])):
-            a_y.plot(t, np.asarray(values), color=colour, lw=0.8)
         for limit in (-A_Y_MAX, A_Y_MAX):
             a_y.axhline(limit, color=COLOURS["limit"], lw=0.8, ls="--")
         a_y.set_ylabel("a_y [m/s^2]")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import optional, require
-from steerkit._support.files import Bounded, decoded
+from steerkit._support.files import Bounded, atomic_write, decoded
 from steerkit._support.files import read_npz as arrays_of
 from steerkit._support.tables import parted, text_table
 from steerkit.car import recording
@@ -209,6 +209,20 @@ def read_mf4(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     held = "; its CAN frames need --dbc" if not dbc else ""
     require(tables, str(path), f"no channels of numbers in it{held}")
     return tables
+
+
+def write_mf4(log: Log, file: Path) -> None:
+    """Write a log as MDF 4.10, a channel for each of its columns, with units; needs asammdf."""
+    asammdf = optional("asammdf", f"{file}: MF4", "logs")
+    units = {"t": "s", **log.units}
+    columns = {name: values for name, values in log.columns().items() if name != "t"}
+    signals = [
+        asammdf.Signal(samples=np.asarray(values), timestamps=log.t, name=name, unit=units[name.split("[")[0]])
+        for name, values in columns.items()
+    ]
+    with atomic_write(file) as draft, draft.open("wb") as stream, _silent(), asammdf.MDF(version="4.10") as mdf:
+        mdf.append(signals, comment="steerkit")
+        mdf.save(stream)
 
 
 @contextmanager

@@ -90,7 +90,7 @@ class Scenario:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        where = f"scenario '{self.name}'"
+        where = "scenario" if self.name == "scenario" else f"scenario '{self.name}'"
         require(isinstance(self.name, str) and "--" not in self.name, where, "the name holds '--', which parts names")
         for name, valid in (("reference", REFERENCES), ("recovery", RECOVERIES)):
             require(getattr(self, name) in valid, where, f"{name} {getattr(self, name)!r}; valid: {', '.join(valid)}")

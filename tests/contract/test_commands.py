@@ -20,7 +20,7 @@ import pytest
 from tests.support import programs
 from tests.support.compilers import optimising
 from tests.support.places import ROOT
-from tests.support.shell_lines import EXAMPLE, EXAMPLES, FITTED, PAGES, Step, blocks, lines_of, steps_of, table
+from tests.support.shell_lines import DOORS, EXAMPLE, EXAMPLES, FITTED, PAGES, Step, blocks, lines_of, steps_of, table
 
 OTHER_PACKAGES = {"train_with_stable_baselines3.py": "stable_baselines3"}
 """What an example needs beyond the extra `dev`."""
@@ -46,6 +46,8 @@ class Shell:
 
     def __init__(self, folder: Path, programs: Path):
         self.folder, self.programs = folder, programs
+        self.forks = True
+        """May a command run in a fork of this process, whose steerkit is the checkout's?"""
         self.values: dict[str, str] = {}
         """What lines have printed and later lines need, by name."""
         self.running: list[subprocess.Popen[str]] = []
@@ -77,7 +79,7 @@ class Shell:
     def run(self, line: str) -> subprocess.CompletedProcess[str]:
         """Run a line to its end: a command alone in a fork of this process, any other (or for completion) in bash."""
         command = re.match("steerkit |python ", line)
-        if command and not re.search(r"[|;&<>$*`]|-completion", line):
+        if self.forks and command and not re.search(r"[|;&<>$*`]|-completion", line):
             name, *words = shlex.split(line)
             words = [str(self.programs / "steerkit"), *words] if name == "steerkit" else words
             return programs.python(*words, folder=self.folder, environment=self.environment, seconds=PATIENCE)
@@ -99,6 +101,14 @@ class Shell:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGTERM)
             process.wait(PATIENCE)
+
+
+def without_forks(folder: Path, programs: Path, site: Path) -> Shell:
+    """A shell to which steerkit is what stands in `site`, and nothing of the checkout."""
+    shell = Shell(folder, programs)
+    shell.forks, shell.environment["PYTHONPATH"] = False, str(site)
+    del shell.environment["CHECKOUT"]
+    return shell
 
 
 @pytest.fixture
@@ -215,7 +225,9 @@ def started(step: Step, line: str, shell: Shell) -> str:
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if any(steps_of(page))], ids=lambda page: str(page.relative_to(ROOT))
+    "page",
+    [page for page in PAGES if page not in DOORS and any(steps_of(page))],
+    ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_the_shell_lines_of_a_page_run_in_their_order(page: Path, shell: Shell, request: pytest.FixtureRequest) -> None:
     if page.stem in FITTED:

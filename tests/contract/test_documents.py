@@ -23,7 +23,7 @@ from tests.support.browser import BROWSER
 from tests.support.compilers import optimising
 from tests.support.house import modules
 from tests.support.places import ROOT
-from tests.support.shell_lines import BLOCK, FITTED, PAGES, blocks, lines_of
+from tests.support.shell_lines import BLOCK, DOORS, FITTED, PAGES, blocks, lines_of
 
 GALLERY = ROOT / "docs" / "gallery.md"
 
@@ -36,7 +36,11 @@ def name_of(page: Path) -> str:
 
 
 # the gallery's page is made of its scripts, which run below
-CODE = [page for page in PAGES if page != GALLERY and any(language == "python" for language, _ in blocks(page))]
+CODE = [
+    page
+    for page in PAGES
+    if page not in (GALLERY, *DOORS) and any(language == "python" for language, _ in blocks(page))
+]
 
 
 @pytest.mark.parametrize("page", CODE, ids=name_of)

@@ -1,8 +1,12 @@
-"""What is shipped: the wheel holds every file of the package, and what says what it is agrees."""
+"""What is shipped: the wheel holds every file of the package, what says what it is agrees, and from the wheel alone, in
+an empty folder, each page for users leads to its last line."""
 
+import contextlib
+import json
 import re
 import subprocess
 import sys
+import tempfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -11,7 +15,11 @@ import pytest
 
 import steerkit
 from benchmarks.run.sources import source
+from tests.contract.test_commands import Shell, bin_folder, carried_out, learned, make, without_forks
 from tests.support.places import ROOT
+from tests.support.shell_lines import DOORS, blocks, lines_in, step, table
+
+__all__ = ["bin_folder", "learned"]  # fixtures
 
 PACKAGES = ("steerkit", "benchmarks")
 OTHERS = ("paths/courses/LICENSE.genesis", "logs/drives/LICENSE.genesis", "vehicles/LICENSE.opendbc")
@@ -98,3 +106,77 @@ def test_the_demo_installs_no_tools_of_development() -> None:
     assert installed["$(READY)"] == "'.[dev]'"
     assert needs["$(READY)"] == needs["$(BENCH)"] == "$(USE)"
     assert needs["$(USE)"] == "pyproject.toml constraints.txt"
+
+
+# ---- the pages for users --------------------------------------------------------------------------------------------
+
+INSTALLING = 2
+"""Commands from a wheel to an environment: make one, install."""
+MOST = 12
+"""Commands that a page for users may take."""
+PROMPT = """
+import json, sys
+names = {"__name__": "__main__"}
+for line in sys.stdin:
+    exec(compile(json.loads(line), "page", "exec"), names)
+    print("done", flush=True)
+"""
+
+
+class Prompt:
+    """A Python that is given the blocks of a page, one after the other."""
+
+    def __init__(self, shell: Shell):
+        how = {"cwd": shell.folder, "env": shell.environment, "text": True}
+        self.errors = (shell.folder / "errors.txt").open("w+")
+        words = [sys.executable, "-c", PROMPT]
+        self.process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, **how)
+
+    def run(self, code: str) -> str:
+        """What is wrong; empty: nothing."""
+        assert self.process.stdin
+        assert self.process.stdout
+        self.process.stdin.write(json.dumps(code) + "\n")
+        self.process.stdin.flush()
+        if any(line == "done\n" for line in iter(self.process.stdout.readline, "")):
+            return ""
+        self.process.wait()
+        self.errors.seek(0)
+        return f"{code}\n{self.errors.read()}"
+
+    def close(self) -> None:
+        """End it."""
+        self.process.kill()
+        self.process.communicate()
+        self.errors.close()
+
+
+@sources
+@pytest.mark.parametrize("page", DOORS, ids=lambda page: page.stem)
+def test_a_page_for_users_leads_from_a_wheel_to_its_last_line(
+    page: Path, wheel: Path, bin_folder: Path, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """Every Python block and shell line in its order, the long ones in the short forms of shell_lines.toml."""
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    steps, reasons = table()
+    faults, count = [], INSTALLING
+    with tempfile.TemporaryDirectory(prefix="steerkit-") as name, contextlib.ExitStack() as stack:
+        folder = Path(name)
+        shell = stack.enter_context(contextlib.closing(without_forks(folder, bin_folder, tmp_path)))
+        prompt = stack.enter_context(contextlib.closing(Prompt(shell)))
+        here = f"import steerkit; assert steerkit.__file__.startswith({str(tmp_path)!r}), steerkit.__file__"
+        assert prompt.run(here) == ""
+        for language, text in blocks(page):
+            if language == "python":
+                count += 1
+                faults.append(prompt.run(text))
+            for line in lines_in(text) if language == "sh" else ():
+                count += 1
+                assert line not in reasons
+                now = steps.get(line, step(line))
+                for file in now.needs:
+                    if not (folder / file).exists():
+                        make(file, folder, request.getfixturevalue("learned"))
+                faults.append(carried_out(now, shell))
+    assert not any(faults), "\n\n".join(filter(None, faults))
+    assert count <= MOST

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from tests.support.places import ROOT, SUPPORT
 
+DOORS = [ROOT / "docs" / f"{name}.md" for name in ("control-engineer", "rl-researcher", "vehicle-tester")]
+"""The pages for users, which are run from a wheel (test_package.py)."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
 FITTED = ("identification", "logs")
@@ -28,18 +30,19 @@ def blocks(page: Path) -> list[tuple[str, str]]:
     return BLOCK.findall(page.read_text(encoding="utf-8"))
 
 
+def lines_in(text: str) -> list[str]:
+    """The commands in a block, each in one line, without its comment."""
+    lines = re.sub(r"\s*\\\n\s*", " ", text).splitlines()
+    return [line for line in (re.sub(r"(^|\s)# .*", "", line).strip() for line in lines) if line]
+
+
 @functools.cache
 def lines_of(page: Path) -> list[str]:
     """The commands on a page: each line of a block without a language or marked `sh`, then those in running text."""
-    fenced = [
-        re.sub(r"(^|\s)# .*", "", line).strip()
-        for language, text in blocks(page)
-        if language in ("", "sh")
-        for line in re.sub(r"\s*\\\n\s*", " ", text).splitlines()
-    ]
+    fenced = [line for language, text in blocks(page) if language in ("", "sh") for line in lines_in(text)]
     text = BLOCK.sub("", page.read_text(encoding="utf-8"))
     inline = [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", text)]
-    return [*filter(None, fenced), *(code for code in inline if code.partition(" ")[0] in PROGRAMS and " " in code)]
+    return [*fenced, *(code for code in inline if code.partition(" ")[0] in PROGRAMS and " " in code)]
 
 
 @dataclass(frozen=True, kw_only=True)

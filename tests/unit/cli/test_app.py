@@ -102,6 +102,8 @@ def test_a_run_that_ends_early_says_how_to_go_on(
     error: BaseException, code: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any
 ) -> None:
     def ended(*_: Any, **__: Any) -> None:
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / "run.json").touch()
         raise error
 
     monkeypatch.setattr("steerkit.learning.report.learn_with_progress", ended)

@@ -261,9 +261,9 @@ def test_files_are_looked_for_beside_the_scenarios_own(given: str, tmp_path: Fil
     [
         ("[steering]\nlag = 0.1\n", f"s.toml: format = None, expected '{FORMAT}'"),
         (HEAD + "lag = 0.1\n", "s.toml: a scenario has no field 'lag'; it is a field of steering and knowledge"),
-        (HEAD + "[steering]\nlagg = 0.1\n", "s.toml: scenario 'scenario': steering: no field 'lagg'; valid: command"),
-        (HEAD + "[steering]\nlag = -0.1\n", r"s.toml: scenario 'scenario': steering: lag = -0.1 \[s\], expected 0 to"),
-        (HEAD + 'course = "no.csv"\n', "s.toml: scenario 'scenario': course .*no.csv cannot be read"),
+        (HEAD + "[steering]\nlagg = 0.1\n", "s.toml: scenario: steering: no field 'lagg'; valid: command"),
+        (HEAD + "[steering]\nlag = -0.1\n", r"s.toml: scenario: steering: lag = -0.1 \[s\], expected 0 to"),
+        (HEAD + 'course = "no.csv"\n', "s.toml: scenario: course .*no.csv cannot be read"),
         (HEAD + "steering = 3\n", "steering: 3, expected a table of command"),
         (HEAD + "lag = \n", "s.toml: not TOML"),
         (None, "s.toml: cannot be read"),
