@@ -7,7 +7,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -148,7 +147,8 @@ def _smooth(values: Array) -> Array:
     return (sums[width:] - sums[:-width]) / width
 
 
-_SHIPPED = {"genesis": "genesis.csv.gz", "genesis-rfs": "genesis_rfs.csv.gz"}
+_DRIVES = Path(__file__).parent / "drives"
+_SHIPPED = {"genesis": _DRIVES / "genesis.csv.gz", "genesis-rfs": _DRIVES / "genesis_rfs.csv.gz"}
 
 STEER_RATIO = 15.0
 """Steering-wheel angle over the road wheels' where a log has only these, and no ratio is given."""
@@ -187,6 +187,7 @@ def read_log(files: Files, *, dbc: str | Path | Iterable[str | Path] = (), time:
     """
     databases = tuple(str(one) for one in _many(dbc))
     paths = [Path(file) for file in _many(files)]
+    paths = [path if path.exists() else _SHIPPED.get(str(path), path) for path in paths]
     require(paths, "read_log", "no files, expected one or more")
     found, notes, digests = list[tuple[Path, Channel]](), list[str](), list[str]()
     for path in paths:
@@ -230,9 +231,6 @@ def read_drive(
     another kind, lacks a quantity or holds nonsense; what could be repaired is in the drive's `notes`.
     """
     paths = [str(one) for one in _many(file)]
-    if len(paths) == 1 and paths[0] in _SHIPPED and not Path(paths[0]).exists():
-        with as_file(files(__package__) / "drives" / _SHIPPED[paths[0]]) as place:
-            return read_drive(place, columns, steer_ratio=steer_ratio, dt=dt, trusted=trusted)
     given = columns if isinstance(columns, ColumnMap) else ColumnMap.of(columns or {})
     time = given.columns.get("t")  # nothing here holds the log, so that `drive_of` can let go of it
     return drive_of(read_log(paths, dbc=dbc, time=time), given, steer_ratio=steer_ratio, dt=dt, trusted=trusted)
