@@ -15,7 +15,7 @@ from rich.table import Table
 
 from steerkit import identification as ident
 from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
-from steerkit.plots.page import check_page, write_page
+from steerkit.cli.page import check_page, write_page
 from steerkit.plots.style import save
 from steerkit.vehicles import scaled, vehicle
 

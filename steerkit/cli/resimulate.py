@@ -13,12 +13,12 @@ from rich.table import Table
 from steerkit._support.errors import require
 from steerkit.cli.log import Columns, Map, column_map
 from steerkit.cli.options import Machine, Quiet
+from steerkit.cli.page import check_page, write_page
 from steerkit.identification import identify
 from steerkit.logs import read_drive
 from steerkit.logs import resimulate as again
 from steerkit.plants.steering_actuator import SteeringActuator, steering_in, steering_of
 from steerkit.plots.animation import film_writer
-from steerkit.plots.page import check_page, write_page
 from steerkit.plots.style import save
 from steerkit.vehicles import vehicle as vehicle_named
 

@@ -1,0 +1,50 @@
+"""A report is one page: what was printed, the pictures, a verdict; nothing is loaded, and nothing of it is markup."""
+
+import re
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from steerkit.cli.page import check_page, write_page
+from steerkit.plots.style import new_figure
+from tests.support.command_lines import run
+
+
+def test_a_page_holds_what_was_printed_and_asks_for_nothing_else(tmp_path: Path) -> None:
+    console = Console(record=True, quiet=False, width=60, file=(tmp_path / "out").open("w"))
+    console.print("a < b", style="bold")
+    file = tmp_path / "a.html"
+    write_page(file, console, "log <1>.csv", ["fine & well"], [new_figure(1, title="a")[0]])
+    page = file.read_text(encoding="utf-8")
+    assert page.count("<img") == 1
+    assert {"<li>fine &amp; well</li>", "a &lt; b", "log &lt;1&gt;.csv"} <= {
+        found for found in ("<li>fine &amp; well</li>", "a &lt; b", "log &lt;1&gt;.csv") if found in page
+    }
+    assert not re.search(r"(src|href)=['\"](?!data:)|@import|url\(", page)
+    check_page(file)
+    with pytest.raises(ValueError, match=r"a report ends in \.html"):
+        check_page(Path("a.pdf"))
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (
+            ("identify", "genesis-rfs"),
+            ("Determined by this log: steer_ratio", "The model misses the measured yaw rate"),
+        ),
+        (
+            ("resimulate", "genesis-rfs", "--controller", "stanley", "--controller", "lqr", "--vehicle", "vw-passat"),
+            ("stanley stays within", "lqr stays within", "Most otherwise"),
+        ),
+    ],
+)
+def test_a_command_hands_on_its_verdict(
+    words: tuple[str, ...], says: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "a.html"
+    assert run(*words, "--report", str(file), "-q", monkeypatch=monkeypatch) == 0
+    page = file.read_text(encoding="utf-8")
+    assert [sentence for sentence in says if sentence not in page] == []
+    assert "no car was driven" in page
