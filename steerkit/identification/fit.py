@@ -29,9 +29,14 @@ from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plots.style import COLOURS, new_figure, style
 from steerkit.vehicles import Vehicle, vehicle
 from steerkit.vehicles.file import vehicle_text
+from steerkit.vehicles.parameters import G
 
 BLOCK, BLOCKS = 2.0, 8
 """Length of the blocks, in times after which the residual's autocorrelation has died out; and how many at least."""
+THIRDS, CONTRADICTION = 3, 5.99
+"""Stretches of the log that must agree, and the 95 % point of chi^2 for what they differ by."""
+BANK = 0.02
+"""Standard deviation of a road's mean bank, of which a log says nothing [rad]."""
 REZERO = 15.0
 """Driving from which the wheel's zero is found again, in the second figure of a prediction [s]."""
 OPEN = {
@@ -99,12 +104,17 @@ class Estimate:
     learned: float
     """Share of the prior's variance that the log took away, 0 to 1; NaN for a parameter that was given."""
     note: str = ""
+    steady: bool = True
+    """Do the log's thirds agree on it?"""
 
     @property
     def source(self) -> str:
-        """`log` (9/10 of the prior's variance is gone), `log and prior` (1/2), `prior`, or `given`."""
+        """`log` (9/10 of the prior's variance is gone), `log and prior` (1/2), `prior`, `given`; or `unsteady`: thirds
+        of the log contradict each other, by something that is not in the model."""
         if math.isnan(self.learned):
             return "given"
+        if not self.steady:
+            return "unsteady"
         return "log" if self.learned > 0.9 else "log and prior" if self.learned > 0.5 else "prior"
 
 
@@ -341,9 +351,9 @@ def identify(
     table = _believed(base, known or {}, fixed or {}, drive)
     problem = _Problem(Simulator(drive, base), table)
     theta, sigma, correlation = problem.solve()
-    covariance, blocks = problem.covariance(theta, sigma)
+    covariance, blocks, parts = problem.covariance(theta, sigma)
     values = problem.held | dict(zip(problem.free, theta.tolist()))
-    estimates = problem.estimates(values, covariance, blocks)
+    estimates = problem.estimates(values, covariance, blocks, parts)
     c_f, c_r = map(float, stiffnesses(base, values["d_f"], values["d_r"]))
     found = {"name": name or f"{base.name}-identified", "steer_ratio": values["steer_ratio"], "c_f": c_f, "c_r": c_r}
     return Identified(
@@ -444,8 +454,8 @@ class _Problem:
         crossing = int(np.argmax(rho <= 0.05)) or len(rho)
         return float(drive.dt * (1.0 + 2.0 * np.sum(rho[1:crossing]))), drive.dt * crossing
 
-    def covariance(self, theta: Array, sigma: float) -> tuple[Array, int]:
-        """(sandwich covariance (p, p), number of blocks)."""
+    def covariance(self, theta: Array, sigma: float) -> tuple[Array, int, list[tuple[Array, Array]]]:
+        """(sandwich covariance (p, p), number of blocks, by how much each third moves theta and its covariance)."""
         error, slopes = self.linearised(theta)
         for i in np.flatnonzero((theta <= self.low) | (theta >= self.high)):
             # at a bound the tangent may be flat (a lag of 0): the secant to half a prior deviation inside shows more
@@ -460,12 +470,21 @@ class _Problem:
         length = int(min(max(1.0, BLOCK * self._correlation_times(error)[1]) / dt, n / BLOCKS))
         scores = np.add.reduceat(slopes * error[:, None] / sigma**2, length * np.arange(n // length))
         blocks = len(scores)
-        scores -= scores.mean(axis=0)
-        meat = scores.T @ scores * (blocks / (blocks - 1)) + prior
-        return bread @ meat @ bread, blocks
+        sums, squares = scores.sum(axis=0), np.cov(scores.T).reshape(prior.shape)
+        parts = []
+        for rows, some in zip(np.array_split(np.arange(blocks), THIRDS), np.array_split(slopes, THIRDS)):
+            own = np.linalg.inv(some.T @ some / sigma**2 + prior)
+            moved = -own @ (scores[rows].sum(axis=0) - sums * len(rows) / blocks)
+            parts.append((moved, own @ (squares * len(rows) + prior) @ own))
+        return bread @ (squares * blocks + prior) @ bread, blocks, parts
 
-    def estimates(self, values: dict[str, float], covariance: Array, blocks: int) -> tuple[Estimate, ...]:
-        """Each parameter and what follows from them, linearised."""
+    def estimates(
+        self, values: dict[str, float], covariance: Array, blocks: int, parts: list[tuple[Array, Array]]
+    ) -> tuple[Estimate, ...]:
+        """Each parameter and what follows from them, linearised; wider where the log's thirds contradict each other.
+
+        By the variance between them, as for studies that differ; source: DerSimonian, Laird 1986.
+        """
         base, table, free = self.simulator.base, self.table, self.free
         factor = float(stdtrit(blocks - 1, 0.975))
         before = np.diag([table[n].deviation ** 2 for n in free])
@@ -484,10 +503,26 @@ class _Problem:
             ("c_r", c_r, "N/rad", {"d_r": -c_r / values["d_r"]}, f"given mass {base.m:g} kg"),
             ("rate_zero", values["rate_zero"], "rad/s", {"rate_zero": 1.0}, "zero of the recorded yaw rate"),
         ]
+        # what no log tells apart: the gyro's scale from the ratio, the road's mean bank from the offset
+        scale = self.simulator.drive.scale_deviation if "steer_ratio" in free else 0.0
+        bank = ratio * abs(understeer) * G * BANK if "offset" in free else 0.0
+        beside = {"steer_ratio": ratio * scale, "ratio_wheelbase": ratio * length * scale, "offset": bank}
         estimates = []
         for name, value, unit, slopes, note in rows:
             g = np.array([slopes.get(n, 0.0) for n in free])
             deviation, prior = (math.sqrt(g @ m @ g) for m in (covariance, before))
+            steady = True
+            if parts and prior > 0.0:
+                apart, weights = (
+                    np.array([g @ moved for moved, _ in parts]),
+                    np.array([1.0 / (g @ c @ g) for _, c in parts]),
+                )
+                apart -= weights @ apart / weights.sum()
+                excess = float(weights @ apart**2) - (len(parts) - 1)
+                between = max(0.0, excess) / float(weights.sum() - weights @ weights / weights.sum())
+                steady = excess + len(parts) - 1 <= CONTRADICTION
+                deviation = min(math.hypot(deviation, math.sqrt(between)), max(prior, deviation))
+            deviation = math.hypot(deviation, beside.get(name, 0.0))
             learned = max(0.0, 1.0 - (deviation / prior) ** 2) if prior > 0.0 else math.nan
             if name == "rate_zero" and math.isnan(learned):
                 continue
@@ -499,18 +534,18 @@ class _Problem:
                 low, high = value * values[key] / ends
             elif name == "lag":
                 low = max(low, 0.0)
-            for key in slopes.keys() & set(free):
-                if not table[key].low < values[key] < table[key].high:
-                    note = f"{note}; {key} is at its bound".lstrip("; ")
-            estimates.append(Estimate(name, float(value), float(low), float(high), unit, learned, note))
+            estimates.append(Estimate(name, float(value), float(low), float(high), unit, learned, note, steady))
         return tuple(estimates)
 
     def notes(self, values: dict[str, float], covariance: Array, estimates: tuple[Estimate, ...]) -> tuple[str, ...]:
         """What this log cannot determine, in words."""
         drive, base, free = self.simulator.drive, self.simulator.base, self.free
+        scale = drive.scale_deviation
+        cannot = "the gyro's scale cannot be told from the ratio, nor the road's mean bank from the offset"
         notes = [
+            f"{cannot}: their intervals allow for {100.0 * scale:.2g} % and {100.0 * BANK:g} % (standard deviations)",
             f"the yaw rate determines ratio times wheelbase and stiffness over mass; wheelbase {base.wheelbase:g} m, "
-            f"mass {base.m:g} kg and the rest of {base.name} are given"
+            f"mass {base.m:g} kg and the rest of {base.name} are given",
         ]
         unseen = ", ".join(e.name for e in estimates if e.source == "prior")
         if unseen:
@@ -523,6 +558,12 @@ class _Problem:
         for j, i in combinations(range(len(free)), 2):
             if abs(related[i, j]) > 0.9:
                 notes.append(f"{free[j]} and {free[i]} cannot be separated well (correlation {related[i, j]:+.2f})")
+        unsteady = ", ".join(e.name for e in estimates if e.source == "unsteady")
+        if unsteady:
+            notes.append(f"{unsteady}: thirds of the log contradict each other; a bank, load or clock that changes?")
+        bounds = ", ".join(n for n in free if not self.table[n].low < values[n] < self.table[n].high)
+        if bounds:
+            notes.append(f"{bounds} at a bound: the model does not fit; check columns, clocks, --wheelbase")
         if values["delay"] < -0.02:
             notes.append("the delay is negative: the yaw rate's clock runs ahead of the steering's, or it was smoothed")
         if max(values["delay"], values["lag"]) > 0.5:

@@ -161,6 +161,8 @@ TURNING = 3e-4
 """Standard deviation of the curvature from which on a drive turns [1/m]."""
 SETTLE = 1.0
 """After a gap, and at the start, the model has this long to forget what it does not know [s]."""
+SCALE_WINDOW, SCALE_UNKNOWN = 5.0, 0.05
+"""A gyro is compared with the heading over so long [s]; standard deviation of its scale where there is none [1]."""
 HEADING_WINDOW = 0.2
 """Length of the parabola whose slope is the yaw rate, where only the heading was recorded [s]."""
 _STRAIGHT = "it hardly turns: units and signs cannot be judged, and nothing can be identified; add bends"
@@ -186,6 +188,8 @@ class Drive:
     """Where samples were recorded, that is not in a gap nor within 1 s after one (n,)."""
     calibrated: bool
     """Is the yaw rate's zero known, from the heading?"""
+    scale_deviation: float = SCALE_UNKNOWN
+    """Standard deviation of the yaw rate's scale, 0 where it is the heading's slope [1]."""
     psi: Array | None = None
     """Heading without jumps, + = counter-clockwise (n,) [rad]; None where the log has none."""
     x: Array | None = None
@@ -255,13 +259,14 @@ class Drive:
         require(1e-3 <= dt <= 0.1, name, f"dt = {dt} s, expected 0.001 to 0.1")
         even = _resampled(columns, dt, step)
         measured = _measured(t, gaps, even["t"])
-        rate, calibrated = _yaw_rate(even, measured, dt, name, remarks, trusted)
+        rate, calibrated, scale_deviation = _yaw_rate(even, measured, dt, name, remarks, trusted)
         drive = cls(
             name=name,
             dt=dt,
             r=rate,
             measured=measured,
             calibrated=calibrated,
+            scale_deviation=scale_deviation,
             notes=tuple(remarks),
             digest=digest,
             commanded=commanded,
@@ -426,28 +431,42 @@ def _measured(t: Array, gaps: NDArray[np.intp], clock: Array) -> NDArray[np.bool
 
 def _yaw_rate(
     even: dict[str, Array], measured: NDArray[np.bool_], dt: float, name: str, remarks: list[str], trusted: bool
-) -> tuple[Array, bool]:
-    """The yaw rate, with the heading's zero if there is a heading; and whether there is."""
+) -> tuple[Array, bool, float]:
+    """The yaw rate, with the heading's zero and scale; whether there is a heading; the scale's deviation.
+
+    Zero and scale are the line of turns by the gyro over those of the heading, over 5 s each: the slope over a short
+    time would have the heading's noise in it, and make the scale too small.
+    """
     if "psi" not in even:
-        return even["r"], False
-    window = 2 * round(0.5 * HEADING_WINDOW / dt) + 1
-    slope: Array = scipy.signal.savgol_filter(even["psi"], window, 2, deriv=1, delta=dt)
+        return even["r"], False, SCALE_UNKNOWN
     if "r" not in even:
+        window = 2 * round(0.5 * HEADING_WINDOW / dt) + 1
         remarks.append(f"yaw rate: slope of the heading over {window * dt:.2f} s")
-        return slope, True
+        return scipy.signal.savgol_filter(even["psi"], window, 2, deriv=1, delta=dt), True, 0.0
     use = measured & (even["v"] >= V_DRIVING)
     require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {V_DRIVING:g} m/s or faster")
-    gain, _ = _line(slope[use], even["r"][use])
+    n = round(SCALE_WINDOW / dt)
+    through = np.convolve(use, np.ones(n + 1), mode="valid") > n + 0.5
+    gyro = scipy.integrate.cumulative_trapezoid(even["r"], dx=dt, initial=0.0)
+    turned, shown = ((a[n:] - a[:-n])[through] / SCALE_WINDOW for a in (even["psi"], gyro))
+    if len(shown) < n or np.std(turned) < 1e-3:
+        turned, shown = (a[use] for a in (np.gradient(even["psi"], dt), even["r"]))
+    gain, correlation = _line(turned, shown)
     if not trusted and not 0.8 < gain < 1.25:
         fault = "has the other sign than" if gain < 0.0 else f"is {gain:.3g} times"
         raise ValueError(
             f"{name}: the yaw rate {fault} the heading's rate of change; mind unit and sign of r and psi in the column "
             "map (a compass turns clockwise: scale = -1)"
         )
-    bias = float(np.mean((even["r"] - slope)[use]))
+    independent = max(2.0, len(shown) / n - 2.0)
+    deviation = float(np.sqrt(max(0.0, 1.0 - correlation**2) / independent) / max(abs(correlation), 0.1))
+    scale = gain if 3.0 * deviation < abs(gain - 1.0) < 0.25 and abs(gain - 1.0) > 0.01 else 1.0
+    if scale != 1.0:
+        remarks.append(f"yaw rate: over {scale:.3f}, as the turns of the heading are: the gyro's scale, or a bank")
+    bias = float(np.mean(shown - scale * turned)) / scale
     if abs(bias) > 2e-4:
         remarks.append(f"yaw rate: {-bias:+.5f} rad/s, so that its mean is the heading's rate")
-    return even["r"] - bias, True
+    return even["r"] / scale - bias, True, max(deviation, abs(gain / scale - 1.0))
 
 
 def _check_plausible(drive: Drive) -> None:

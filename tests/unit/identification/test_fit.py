@@ -62,7 +62,7 @@ def test_intervals_cover_the_truth(clean: dict[str, Any]) -> None:
             widths[name].append((e.high - e.low) / abs(TRUTH[name]))
     assert all(count >= 9 for count in inside.values()), inside
     assert sum(inside.values()) >= 0.9 * 12 * len(names), inside
-    assert np.median(widths["steer_ratio"]) < 0.1  # an interval that covers everything proves nothing
+    assert np.median(widths["steer_ratio"]) < 0.25  # an interval that covers everything proves nothing
     assert np.median(widths["understeer_gradient"]) < 0.6
     assert max(np.median(widths["c_f"]), np.median(widths["c_r"])) < 1.3
 
@@ -118,7 +118,7 @@ PRIORS = priors(BASE)
 
 def problem(rates: Any = None, r: Any = 0.0, **table: Any) -> _Problem:
     """Of 100 samples with these rates and priors."""
-    drive = SimpleNamespace(dt=DT, driving=np.ones(N, dtype=bool), v=np.ones(N), r=r * np.ones(N))
+    drive = SimpleNamespace(dt=DT, driving=np.ones(N, dtype=bool), v=np.ones(N), r=r * np.ones(N), scale_deviation=0.0)
     return _Problem(SimpleNamespace(drive=drive, base=BASE, yaw_rates=rates), table)  # type: ignore[arg-type]
 
 
@@ -147,17 +147,41 @@ def test_at_a_bound_the_secant_to_half_a_deviation_inside_counts() -> None:
 def test_intervals_are_those_of_students_distribution_through_the_formulas() -> None:
     values, names = {n: p.mean for n, p in PRIORS.items()}, list(PRIORS)
     steps = {n: 0.1 * p.deviation for n, p in PRIORS.items()}
-    found = problem(**PRIORS).estimates(values, np.diag([steps[n] ** 2 for n in names]), 11)
+    found = problem(**PRIORS).estimates(values, np.diag([steps[n] ** 2 for n in names]), 11, [])
     by_name, factor = {one.name: one for one in found}, 2.228138852
     half = {name: 0.5 * (one.high - one.low) / factor for name, one in by_name.items()}
     both = {"delay_lag": np.hypot(steps["delay"], steps["lag"])}
     both |= {"ratio_wheelbase": 0.5 * BASE.wheelbase, "understeer_gradient": np.hypot(steps["d_f"], steps["d_r"])}
     expected = {name: steps[name] for name in ("steer_ratio", "offset", "delay", "lag", "rate_zero")} | both
+    bank = BASE.steer_ratio * BASE.understeer_gradient * 9.81 * 0.02
+    expected["offset"] = np.hypot(steps["offset"], bank)
     assert {name: half[name] for name in expected} == pytest.approx(expected)
     for name, key in (("c_f", "d_f"), ("c_r", "d_r")):
         ends = [by_name[name].value * values[key] / (values[key] + sign * factor * steps[key]) for sign in (1.0, -1.0)]
         assert [by_name[name].low, by_name[name].high] == pytest.approx(ends)
-    assert {round(one.learned, 9) for one in found} == {0.99}
+    assert {round(one.learned, 9) for one in found if one.name != "offset"} == {0.99}
+
+
+def test_thirds_that_contradict_each_other_widen_the_interval_and_take_its_flag() -> None:
+    """Of three equal parts at -d, 0, d with deviation s: tau^2 = d^2 - s^2, told where 2 d^2/s^2 > 5.99."""
+    values, small = {n: p.mean for n, p in PRIORS.items()}, np.diag([(0.1 * p.deviation) ** 2 for p in PRIORS.values()])
+    for d, told in ((0.15, False), (0.3, True)):
+        parts = [(np.array([sign * d * p.deviation for p in PRIORS.values()]), small) for sign in (-1.0, 0.0, 1.0)]
+        found = {e.name: e for e in problem(**PRIORS).estimates(values, small, 11, parts)}
+        ratio = found["steer_ratio"]
+        assert (ratio.high - ratio.low) / 2.0 / 2.228138852 == pytest.approx(5.0 * np.sqrt(0.01 + d * d - 0.01))
+        assert (ratio.source == "unsteady") is told
+
+
+@pytest.mark.parametrize("scale", [0.92, 1.0, 1.08])
+def test_a_gyros_scale_is_found_by_the_heading_else_the_ratios_interval_holds_it(clean: Any, scale: float) -> None:
+    columns = noisy(clean, 0)
+    columns["r"] = scale * columns["r"]
+    columns["psi"] = columns["psi"] + 0.01 * np.random.default_rng(1).normal(size=len(columns["psi"]))
+    seen, unseen = (identify(Drive.of(one), BASE)["steer_ratio"] for one in (columns, by_rate(columns)))
+    assert seen.low < TRUTH["steer_ratio"] < seen.high
+    assert unseen.low < TRUTH["steer_ratio"] < unseen.high
+    assert seen.high - seen.low < 0.6 * (unseen.high - unseen.low)
 
 
 def test_the_covariance_allows_for_errors_that_are_larger_where_they_matter() -> None:
@@ -169,7 +193,11 @@ def test_the_covariance_allows_for_errors_that_are_larger_where_they_matter() ->
     claimed, estimates = [], []
     for _ in range(60):
         drive = SimpleNamespace(
-            dt=DT, driving=np.ones(n, dtype=bool), v=np.ones(n), r=12.0 * x + 0.5 * x * rng.normal(size=n)
+            dt=DT,
+            driving=np.ones(n, dtype=bool),
+            v=np.ones(n),
+            scale_deviation=0.0,
+            r=12.0 * x + 0.5 * x * rng.normal(size=n),
         )
         simulator = SimpleNamespace(
             drive=drive, yaw_rates=lambda sets: np.outer(x, [one["steer_ratio"] for one in sets])
@@ -228,7 +256,7 @@ def test_stiffnesses_and_gradient_are_the_vehicles_own() -> None:
 def test_the_shipped_drives_have_the_figures_of_the_docs() -> None:
     """Fitted on one real lap, the other predicted; see docs/identification.md."""
     fit, other = (read_drive(name) for name in shipped_drives())
-    assert fit.notes[1].startswith("yaw rate: -0.00519 rad/s")
+    assert fit.notes[1].startswith("yaw rate: -0.00520 rad/s")
     answer = identify(fit, BASE)
     seen = answer.predict(other)
     assert answer.fit.rms == pytest.approx(0.0034, abs=2e-4)
