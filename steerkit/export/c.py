@@ -64,7 +64,7 @@ def export_c(
         f"{title}.h": part.header(title),
         f"{title}.c": part.source(title),
         f"{title}_test.c": part.test(title),
-        "CMakeLists.txt": _CMAKE.format(name=title),
+        "CMakeLists.txt": _filled("CMakeLists.txt.in", name=title),
     }
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")
@@ -267,7 +267,8 @@ class _Part:
         given = "\n".join(copies or ["    u.none = 0.0;"])
         seen = ", ".join(f"y.{field}" for field in results)
         labels = ", ".join(f'"{field}"' for field in results)
-        return _TEST.format(
+        return _filled(
+            "replay_test.c.in",
             name=name,
             inputs=array("inputs", self.rows),
             expected=array("expected", self.expected),
@@ -285,58 +286,7 @@ def _numbers(block: Block) -> list[tuple[str, float]]:
     return [(n, float(v)) for n, v in numbers if math.isfinite(v)]
 
 
-_TEST = """\
-/* Replays a recorded log through {name} and compares; returns 0 if all outputs agree. */
-#include <math.h>
-#include <stdio.h>
-#include "{name}.h"
-
-{inputs}
-{expected}
-static const char *const labels[{width}] = {{{labels}}};
-
-int main(void)
-{{
-  {name}_state s;
-  double worst = 0.0;
-  {name}_init(&s);
-  for (int i = 0; i < {rows}; i++) {{
-    {name}_inputs u;
-    {name}_outputs y;
-{given}
-    {name}_step(&s, &u, &y);
-    const double seen[{width}] = {{{seen}}};
-    for (int j = 0; j < {width}; j++) {{
-      const double error = fabs(seen[j] - expected[i][j]) / (1.0 + fabs(expected[i][j]));
-      if (isnan(expected[i][j]) ? !isnan(seen[j]) : !(error <= 1e-9)) {{
-        printf("sample %d: %s is %.17g, recorded %.17g\\n", i, labels[j], seen[j], expected[i][j]);
-        return 1;
-      }}
-      if (error > worst) worst = error;
-    }}
-  }}
-  printf("{name}: {rows} samples agree, largest difference %.3g\\n", worst);
-  return 0;
-}}
-"""
-
-_CMAKE = """\
-cmake_minimum_required(VERSION 3.10)
-project({name} C)
-set(CMAKE_C_STANDARD 99)
-set(CMAKE_C_STANDARD_REQUIRED ON)
-set(CMAKE_C_EXTENSIONS OFF)
-add_library({name} STATIC {name}.c)
-target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")
-  target_compile_options({name} PRIVATE -Wall -Wextra -Wconversion -ffp-contract=off)
-endif()
-find_library(MATH_LIBRARY m)
-if(MATH_LIBRARY)
-  target_link_libraries({name} PUBLIC ${{MATH_LIBRARY}})
-endif()
-enable_testing()
-add_executable({name}_test {name}_test.c)
-target_link_libraries({name}_test {name})
-add_test(NAME {name}_replay COMMAND {name}_test)
-"""
+def _filled(template: str, **values: Any) -> str:
+    """The text of a file beside this one, with what stands for each @name@."""
+    text = (Path(__file__).parent / template).read_text(encoding="utf-8")
+    return re.sub(r"@(\w+)@", lambda found: str(values[found[1]]), text)

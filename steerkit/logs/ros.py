@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -88,48 +89,11 @@ def _learned(store: Any, schema: Any) -> str:
     return str(schema.name)
 
 
-KNOWN: dict[str, dict[str, tuple[str, str]]] = {
-    "SteeringReport": {"steering_tire_angle": ("delta", "rad"), "steering_wheel_angle": ("delta_sw", "rad")},
-    "VelocityReport": {"longitudinal_velocity": ("v", "m/s"), "heading_rate": ("r", "rad/s")},
-    "Odometry": {
-        "pose.pose.position.x": ("x", "m"),
-        "pose.pose.position.y": ("y", "m"),
-        "pose.pose.orientation.yaw": ("psi", "rad"),
-        "twist.twist.linear.x": ("", "m/s"),
-        "twist.twist.angular.z": ("", "rad/s"),
-    },
-    "Imu": {"angular_velocity.z": ("", "rad/s")},
-    "NavSatFix": {"latitude": ("lat_deg", "deg"), "longitude": ("lon_deg", "deg")},
-    "TwistStamped": {"twist.linear.x": ("", "m/s"), "twist.angular.z": ("", "rad/s")},
-    "TwistWithCovarianceStamped": {"twist.twist.linear.x": ("", "m/s"), "twist.twist.angular.z": ("", "rad/s")},
-    "PoseStamped": {
-        "pose.position.x": ("x", "m"),
-        "pose.position.y": ("y", "m"),
-        "pose.orientation.yaw": ("psi", "rad"),
-    },
-    "PoseWithCovarianceStamped": {
-        "pose.pose.position.x": ("x", "m"),
-        "pose.pose.position.y": ("y", "m"),
-        "pose.pose.orientation.yaw": ("psi", "rad"),
-    },
-    "AckermannDriveStamped": {"drive.steering_angle": ("delta", "rad"), "drive.speed": ("", "m/s")},
-}
+_TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+KNOWN: dict[str, dict[str, tuple[str, str]]] = _TABLE["known"]
 """Kind of message (of autoware_*, sensor_msgs, nav_msgs, geometry_msgs, ackermann_msgs, whatever the package) to what
 its fields are, and their units; no quantity: taken where there is nothing better."""
-
-DEFINITIONS = {
-    "autoware_vehicle_msgs/msg/SteeringReport": "builtin_interfaces/Time stamp\nfloat32 steering_tire_angle\n",
-    "autoware_vehicle_msgs/msg/VelocityReport": (
-        "std_msgs/Header header\nfloat32 longitudinal_velocity\nfloat32 lateral_velocity\nfloat32 heading_rate\n"
-    ),
-    "can_msgs/msg/Frame": (
-        "std_msgs/Header header\nuint32 id\nbool is_rtr\nbool is_extended\nbool is_error\nuint8 dlc\nuint8[8] data\n"
-    ),
-    "ackermann_msgs/msg/AckermannDrive": (
-        "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n"
-    ),
-    "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n",
-}
+DEFINITIONS: dict[str, str] = _TABLE["definitions"]
 """Messages that ROS itself does not have, for bags that do not bring their definitions (older SQLite ones)."""
 DEFINITIONS |= {
     name.replace("autoware_vehicle_msgs", "autoware_auto_vehicle_msgs"): text
