@@ -64,7 +64,7 @@ def export_c(
         f"{title}.h": part.header(title),
         f"{title}.c": part.source(title),
         f"{title}_test.c": part.test(title),
-        "CMakeLists.txt": _filled("CMakeLists.txt.in", name=title),
+        "CMakeLists.txt": from_template("CMakeLists.txt.in", name=title),
     }
     for file, text in texts.items():
         (folder / file).write_text(text, encoding="utf-8")
@@ -267,7 +267,7 @@ class _Part:
         given = "\n".join(copies or ["    u.none = 0.0;"])
         seen = ", ".join(f"y.{field}" for field in results)
         labels = ", ".join(f'"{field}"' for field in results)
-        return _filled(
+        return from_template(
             "replay_test.c.in",
             name=name,
             inputs=array("inputs", self.rows),
@@ -286,7 +286,7 @@ def _numbers(block: Block) -> list[tuple[str, float]]:
     return [(n, float(v)) for n, v in numbers if math.isfinite(v)]
 
 
-def _filled(template: str, **values: Any) -> str:
+def from_template(template: str, **values: Any) -> str:
     """The text of a file beside this one, with what stands for each @name@."""
     text = (Path(__file__).parent / template).read_text(encoding="utf-8")
     return re.sub(r"@(\w+)@", lambda found: str(values[found[1]]), text)

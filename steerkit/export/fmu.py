@@ -20,60 +20,12 @@ from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import Trace, flattened, parameter, trace
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Signal
+from steerkit.export.c import from_template
 
 try:
     from pythonfmu.builder import FmuBuilder
 except ImportError as why:
     raise ImportError("steerkit.export.fmu needs pythonfmu: pip install 'steerkit-control[export]'") from why
-
-_SLAVE = '''
-
-class {name}(Fmi2Slave):
-    """The loop as a co-simulation slave."""
-
-    description = {description!r}
-
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.k, self.begun, self.slots, self.fixed = 0, None, list(START), list(FIXED.values())
-        for i, name in enumerate(FIXED):
-            self.register_variable(Real(
-                name, causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable,
-                getter=lambda i=i: self.fixed[i], setter=lambda value, i=i: self.fixed.__setitem__(i, value),
-            ))
-        for name, (slot, unit) in OUTPUTS.items():
-            self.register_variable(Real(
-                name, causality=Fmi2Causality.output, initial=Fmi2Initial.exact, start=AT_START[name],
-                description=unit, getter=lambda slot=slot: self.seen[slot],
-            ))
-        self.look()
-
-    def look(self):
-        self.seen = finish(self.k, self.slots, self.fixed)
-
-    def exit_initialization_mode(self):
-        self.look()
-
-    def do_step(self, current_time, step_size):
-        if self.begun is None:
-            self.begun = current_time
-        until = int((current_time + step_size - self.begun) / STEP + 1e-6)
-        if until > self.k:
-            values = run(self.k, until, self.slots, self.fixed, [])
-            for slot, value in zip(CARRIED, values):
-                self.slots[slot] = value
-            self.k = until
-            self.look()
-        return True
-
-    def _get_fmu_state(self):
-        return {{"k": self.k, "begun": self.begun, "slots": list(self.slots), "fixed": list(self.fixed)}}
-
-    def _set_fmu_state(self, state):
-        self.k, self.begun = state["k"], state["begun"]
-        self.slots, self.fixed = list(state["slots"]), list(state["fixed"])
-        self.look()
-'''
 
 
 def export_fmu(
@@ -120,6 +72,8 @@ def _script(program: Trace, name: str, outputs: Sequence[str], parameters: Seque
             f"STEP, CARRIED, START = {loop.dt!r}, {program.persistent!r}, {slots!r}",
             f"AT_START = { {output: slots[slot] for output, (slot, _) in shown.items()}!r}",
             f"FIXED, OUTPUTS = {fixed!r}, {shown!r}",
-            _SLAVE.format(name=name, description=f"{loop!r}, made by steerkit"),
+            "",
+            "",
+            from_template("fmu_slave.py.in", name=name, description=repr(f"{loop!r}, made by steerkit")),
         ]
     )

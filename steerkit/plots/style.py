@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 
 if TYPE_CHECKING:
@@ -34,43 +35,17 @@ COLOURS = {
 """Colours with a meaning: who steers, the goal band, limits; and what the style is made of."""
 
 DPI = 110
-_STYLE: dict[Any, Any] = {
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.labelsize": 9.0,
-    "axes.labelcolor": COLOURS["ink"],
-    "axes.edgecolor": COLOURS["muted"],
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": COLOURS["grid"],
-    "grid.linewidth": 0.8,
-    "xtick.color": COLOURS["muted"],
-    "ytick.color": COLOURS["muted"],
-    "xtick.labelcolor": COLOURS["ink"],
-    "ytick.labelcolor": COLOURS["ink"],
-    "lines.linewidth": 1.2,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "savefig.dpi": 150,
-    "figure.dpi": DPI,
-    "figure.facecolor": COLOURS["paper"],
-}
 
 
 def style() -> Any:
-    """A context in which matplotlib draws in the style of this file."""
-    import matplotlib as mpl
-    from cycler import cycler
+    """A context in which matplotlib draws in the style of `steerkit.mplstyle`."""
+    import matplotlib.style
 
-    return mpl.rc_context(_STYLE | {"axes.prop_cycle": cycler(color=PALETTE)})
+    return matplotlib.style.context(Path(__file__).with_name("steerkit.mplstyle"))
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """`draw` in the style of this file."""
+    """`draw` in that style."""
 
     @functools.wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
