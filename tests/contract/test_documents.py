@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit.cli.app import COMMANDS
 from tests.support import programs
 from tests.support.browser import BROWSER
 from tests.support.compilers import optimising
@@ -232,3 +233,15 @@ def test_gallery(
     picture = imread(tmp_path / f"{script.stem}.png")
     assert min(picture.shape[:2]) > 200
     assert len(np.unique(np.rint(255 * picture[..., :3]) @ (1, 256, 65536))) > 50, "colours"
+
+
+def test_every_command_is_explained_on_one_page() -> None:
+    """The table of docs/howto/command-line.md has each command once, and the page that it leads to shows it."""
+    here = ROOT / "docs" / "howto" / "command-line.md"
+    rows = re.findall(r"^\| (`[^|]+`) \| \[[\w-]+\]\(([\w./-]+)\) \|$", here.read_text(encoding="utf-8"), re.M)
+    pages = {command: target for commands, target in rows for command in re.findall(r"`(\w+)`", commands)}
+    assert sorted(pages) == sorted(COMMANDS)
+    assert sum(len(re.findall(r"`(\w+)`", commands)) for commands, _ in rows) == len(COMMANDS)
+    for command, target in pages.items():
+        text = (here.parent / target).read_text(encoding="utf-8")
+        assert re.search(rf"(steerkit|make|python -m benchmarks)\s+{command}\b", text), command
