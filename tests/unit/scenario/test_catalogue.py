@@ -3,7 +3,7 @@
 import json
 import logging
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -93,9 +93,10 @@ def unhurried(numbers: dict[str, Any]) -> dict[str, Any]:
 
 def parameters(block: Any) -> dict[str, Any]:
     """The numbers and words in a block and in those inside it."""
-    own = {key: value for key, value in vars(block).items() if isinstance(value, int | float | str)}
-    inner = {key: parameters(value) for key, value in vars(block).items() if isinstance(value, Block | Rollout)}
-    several = vars(block).get("blocks", ())
+    known = {k: v for k, v in vars(block).items() if not isinstance(getattr(type(block), k, None), cached_property)}
+    own = {key: value for key, value in known.items() if isinstance(value, int | float | str)}
+    inner = {key: parameters(value) for key, value in known.items() if isinstance(value, Block | Rollout)}
+    several = known.get("blocks", ())
     return own | inner | {f"block {k}": parameters(one) for k, one in enumerate(several) if isinstance(one, Block)}
 
 
