@@ -129,15 +129,16 @@ def _list(found: importers.Map, file: str, as_json: bool) -> None:
             "lanes": [lane for lane in lanes if lane],
         }
         rows.append(row | {"leads_to": sorted(after), "about": " ".join(dict.fromkeys(p.about for p in pieces))})
+    notes = [*found.notes, *found.left_out]
     if as_json:
-        print(json.dumps({"file": file, "kind": found.kind, f"{found.kind}s": rows, "notes": found.notes}))
+        print(json.dumps({"file": file, "kind": found.kind, f"{found.kind}s": rows, "notes": notes}))
         return
     table = Table(found.kind, "length (m)", "lanes", "leads to", "")
     for row in rows:
         leads = ", ".join(row["leads_to"][:8]) + (" ..." if len(row["leads_to"]) > 8 else "")
         table.add_row(row[found.kind], f"{row['length_m']:.0f}", ", ".join(row["lanes"]), leads, row["about"])
     Console().print(table)
-    for note in found.notes:
+    for note in notes:
         print(note)
     first = rows[0]
     lane = f",lane={first['lanes'][0]}" if len(first["lanes"]) > 1 else ""

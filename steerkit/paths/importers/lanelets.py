@@ -121,6 +121,8 @@ def _between(left: Array, right: Array) -> Array:
     wide = np.hypot(*(left - right).T)
     if wide.max() > _WIDEST:
         raise ValueError(f"its bounds are {wide.max():.3g} m apart, expected at most {_WIDEST:g}")
+    if wide.max() < 0.1:
+        raise ValueError("its bounds are one line")
     return np.asarray(0.5 * (left + right))
 
 
