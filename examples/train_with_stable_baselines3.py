@@ -6,7 +6,7 @@ Each agent learns in the Gymnasium environment, is turned into a block of plain 
 a file, loaded again and driven one round in the usual steering loop; Stanley recovers when |e| > 0.5 m.
 `--quick` trains for half a minute of driving, to show that it runs; docs/measured.md has the results of the default.
 No car was driven.
-Needs stable-baselines3 (extra `peers`).
+Needs stable-baselines3 (extra `gym`).
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         import stable_baselines3  # noqa: F401
     except ImportError:
-        raise SystemExit("this example needs stable-baselines3; pip install 'steerkit-control[peers]'") from None
+        raise SystemExit("this example needs stable-baselines3; pip install 'steerkit-control[gym]'") from None
     steps = 600 if options.quick else options.steps
     folder = options.out or Path(tempfile.mkdtemp())
     folder.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,8 @@ from rich.console import Console
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.cli.log import record_of
+from steerkit.controllers.network_policy import PolicyBlock
+from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log
 from steerkit.export import car as cars
 from steerkit.learning import rundir
@@ -24,7 +26,7 @@ from steerkit.vehicles.file import tables_of, text_of
 
 
 def export(
-    run: Annotated[Path, typer.Argument(help="Directory of a learning run; a log of any program; or a car, CAR.toml.")],
+    run: Annotated[Path, typer.Argument(help="A learning run's directory; AGENT.npz; any program's log; CAR.toml.")],
     onnx: Annotated[Path | None, typer.Option(help="File for the final policy as an ONNX model.")] = None,
     single: Annotated[bool, typer.Option(help="The ONNX model in float32 instead of float64.")] = False,
     minari: Annotated[
@@ -52,6 +54,13 @@ def export(
             "of a log, --commonroad or --opendbc FILE of a car"
         )
     console, done = Console(quiet=quiet, soft_wrap=True), dict[str, Any]()
+    if onnx is not None:
+        done["onnx"] = _to_onnx(run, onnx, single)
+        text = ", ".join(f"{name} {value:.2g}" for name, value in done["onnx"]["largest_difference"].items())
+        console.print(f"policy: {onnx}; checked on {done['onnx']['states']} states, largest difference: {text}")
+    if minari is not None:
+        done["minari"] = _to_minari(run, minari)
+        console.print("transitions: {name}, {episodes} episodes, {steps} steps".format(**done["minari"]))
     if commonroad is not None or opendbc is not None:
         _car(run, commonroad, opendbc)
         console.print(f"car: {', '.join(str(file) for file in (commonroad, opendbc) if file is not None)}")
@@ -63,13 +72,6 @@ def export(
         if layout.suffix not in kinds:
             raise ValueError(f"--layout {layout}: expected .json for Foxglove or .xml for PlotJuggler")
         console.print(f"layout for {kinds[layout.suffix]}: {write_layout(kinds[layout.suffix], layout)}")
-    if onnx is not None:
-        done["onnx"] = _to_onnx(run, onnx, single)
-        text = ", ".join(f"{name} {value:.2g}" for name, value in done["onnx"]["largest_difference"].items())
-        console.print(f"policy: {onnx}; checked on {done['onnx']['states']} states, largest difference: {text}")
-    if minari is not None:
-        done["minari"] = _to_minari(run, minari)
-        console.print("transitions: {name}, {episodes} episodes, {steps} steps".format(**done["minari"]))
     if as_json:
         print(json.dumps(done))
 
@@ -101,13 +103,14 @@ def _car(file: Path, yaml: Path | None, row: Path | None) -> None:
 def _to_onnx(run: Path, file: Path, single: bool) -> dict[str, Any]:
     from steerkit.export import onnx  # here, as the extra `export` may not be there
 
-    policy, states = rundir.final_policy(run), 10_000
+    policy = PolicyBlock.load(run) if run.suffix == ".npz" else rundir.final_policy(run)
+    states, exact = 10_000, "q" if isinstance(policy, NfqPolicy) else "action"  # of equal q either action is as good
     onnx.export_onnx(policy, file, single=single)
     difference = onnx.check_onnx(policy, file, states=states)
     bound = 1e-4 if single else 1e-6
-    if not difference["q"] <= bound:
+    if not (worst := difference[exact]) <= bound:
         file.unlink()
-        raise ValueError(f"{file}: its q differs from the policy's by {difference['q']:.2g}, expected <= {bound}")
+        raise ValueError(f"{file}: its {exact} differs from the policy's by {worst:.2g}, expected <= {bound}")
     return {"file": str(file), "states": states, "largest_difference": difference}
 
 

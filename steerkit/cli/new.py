@@ -13,6 +13,7 @@ from steerkit._support.files import write_text
 
 _FILES = {
     "controller": ("controller.py.txt", "steerkit drive {0}:make stanley"),
+    "agent": ("agent.py.txt", "python {0} 0, then steerkit drive {0}:make stanley"),
     "vehicle": ("vehicle.toml", "steerkit drive stanley --vehicle {0}"),
     "course": ("course.csv", "steerkit courses {0}"),
     "plant": (
@@ -28,7 +29,7 @@ def new(
     kind: Annotated[str, typer.Argument(metavar="KIND", help=f"One of {', '.join(_FILES)}.")],
     out: Annotated[Path | None, typer.Option(help="Where to write it (my_KIND, with its ending).")] = None,
 ) -> None:
-    """Write a controller, vehicle, course, plant or scenario that works as it is, to be changed into your own."""
+    """Write a file that works as it is, to be changed into your own: a controller, agent, vehicle, course, ..."""
     name, after = _FILES[known(kind, _FILES, "new")]
     ending = Path(name.removesuffix(".txt")).suffix
     place = out or Path(f"my_{kind}{ending}")

@@ -78,6 +78,21 @@ class Network:
         return number
 
 
+def angles_of(answer: Any, n: int, actions: Sequence[float] | None, largest: float, where: str) -> Array:
+    """The actions [rad] (n,) that an agent means by numbers of `actions` or, without them, by shares of `largest`.
+
+    Raises ValueError, beginning with `where`, for anything else.
+    """
+    given = np.asarray(answer)
+    fits = given.dtype.kind in "iuf" and given.size == n
+    low, high = (-1.0 - 1e-6, 1.0 + 1e-6) if actions is None else (0, len(actions) - 1)
+    if not (fits and ((low <= given) & (given <= high)).all() and (actions is None or (given % 1 == 0).all())):
+        expected = "numbers within [-1, 1]" if actions is None else f"whole numbers 0 to {high}"
+        raise ValueError(f"{where} {answer!r:.80}, expected {expected}: {n} in all, one a car")
+    given = given.reshape(-1)
+    return given.astype(float) * largest if actions is None else np.array(actions)[given.astype(np.intp)]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PolicyBlock(Policy):
     """Steers by any policy of the scaled state, such as an agent that was trained in `steerkit.gym`.
@@ -87,7 +102,7 @@ class PolicyBlock(Policy):
         action = largest*policy(x)    continuous, policy in [-1, 1]
 
     Inputs: e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad], all direct. Outputs: action [rad], for a
-    dynamic output element; ready [1], 1 from ready_from on. No state. A NaN or an infinity among the inputs makes
+    dynamic output element; ready [1], 1. No state. A NaN or an infinity among the inputs makes
     action NaN, so that a supervisor sees the fault. Raises ValueError for a description with other columns, bad
     actions, or (when it runs) a policy that answers something else.
     """
@@ -101,8 +116,6 @@ class PolicyBlock(Policy):
     """The angle [rad] that a continuous policy's 1 means."""
     description: StateDescription = StateDescription()
     """Which of the inputs the policy sees, in which order, and their ranges."""
-    ready_from: float = 0.0
-    """Time from which it may be trusted with the wheel [s]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -117,7 +130,7 @@ class PolicyBlock(Policy):
     def output(self, t: Any, x: State, u: Any) -> Any:
         """The policy's action, and whether it may be trusted with the wheel."""
         d = self.description
-        ready, nan = m.where(t >= self.ready_from, 1.0, 0.0), float("nan")
+        nan = float("nan")
         sound = m.is_finite(u.e + u.e_dot + u.v + u.psi_e + u.r_e + u.doe)
         s = [getattr(u, name) for name in d.names]
         if any(map(m.is_symbol, u)):
@@ -130,28 +143,17 @@ class PolicyBlock(Policy):
                 action = self.actions[0]
                 for number, angle in enumerate(self.actions[1:], start=1):
                     action = m.where(answer > number - 0.5, angle, action)
-            return self.Y(action=m.where(sound, action, nan), ready=ready)
+            return self.Y(action=m.where(sound, action, nan), ready=1.0)
         rows = np.stack(np.broadcast_arrays(*s), axis=-1)
         shape = rows.shape[:-1]
         rows = np.where(np.reshape(sound, (*shape, 1)), rows, 0.0).reshape(-1, len(s))
         scaled_rows = np.clip((rows - d.mid) / d.half, -BOUND, BOUND)
         exact = isinstance(self.policy, Network)
-        angles = self._angles(self.policy(scaled_rows if exact else scaled_rows.astype(np.float32)), len(rows))
+        answer = self.policy(scaled_rows if exact else scaled_rows.astype(np.float32))
+        angles = angles_of(answer, len(rows), self.actions, self.largest, "PolicyBlock: the policy answered")
         if not shape:
-            return self.Y(action=float(angles[0]) if sound else nan, ready=ready)
-        return self.Y(action=np.where(sound, angles.reshape(shape), nan), ready=ready + np.zeros(shape))
-
-    def _angles(self, answer: Any, n: int) -> Array:
-        """The actions [rad] that a policy's answer means."""
-        values = np.asarray(answer).reshape(-1)
-        require(len(values) == n, "PolicyBlock", f"the policy answered {len(values)} numbers for {n} states")
-        if self.actions is None:
-            within = bool((np.abs(values) <= 1.0 + 1e-6).all())
-            require(within, "PolicyBlock", f"the policy answered {values}, expected within [-1, 1]")
-            return values * self.largest
-        fits = bool(((values >= 0) & (values < len(self.actions)) & (values % 1 == 0)).all())
-        require(fits, "PolicyBlock", f"the policy answered {values}, expected numbers 0 to {len(self.actions) - 1}")
-        return np.array(self.actions)[values.astype(np.intp)]
+            return self.Y(action=float(angles[0]) if sound else nan, ready=1.0)
+        return self.Y(action=np.where(sound, angles.reshape(shape), nan), ready=np.ones(shape))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the block of a `Network` to a small file (NumPy .npz, no pickle); `load` gives it back bit for bit."""
@@ -165,7 +167,6 @@ class PolicyBlock(Policy):
             {
                 "actions": self.actions or (),
                 "largest": self.largest,
-                "ready_from": self.ready_from,
                 "dt": self.dt,
                 **self.description.arrays(),
                 "activation": net.activation,
@@ -179,7 +180,6 @@ class PolicyBlock(Policy):
     def load(cls, path: str | os.PathLike[str]) -> PolicyBlock:
         """The block that `save` wrote; raises ValueError for a truncated or foreign file."""
         f = read_arrays(path, "policy block", largest=LARGEST_POLICY)
-        unscaled = {"action_scale": np.array(0.0), "scaled_from": np.array(np.inf)}  # what older files do not say
         try:
             net = Network(
                 layers=tuple((f[f"w{i}"], f[f"b{i}"]) for i in range(int(f["layers"]))),
@@ -190,8 +190,7 @@ class PolicyBlock(Policy):
                 policy=net,
                 actions=tuple(f["actions"].tolist()) or None,
                 largest=float(f["largest"]),
-                description=StateDescription.of_arrays(unscaled | f),
-                ready_from=float(f["ready_from"]),
+                description=StateDescription.of_arrays(f),
                 dt=float(f["dt"]),
             )
         except (ValueError, TypeError, KeyError) as why:

@@ -92,14 +92,11 @@ def _actions(a: Any, task: Task) -> Any:
 
 def _spec(task: Task) -> Any:
     """The environment's specification, if its options are plain data; None if not."""
-    fields = {f.name: (getattr(task, f.name), f) for f in dataclasses.fields(task)}
-    kwargs = {n: v for n, (v, f) in fields.items() if v != f.default and n != "description"}
-    standard = Task().description
-    same = (task.description.low, task.description.high) == (standard.low, standard.high)
     spec = copy.deepcopy(gymnasium.spec("steerkit/TrackSteering-v0"))
-    spec.kwargs = kwargs
+    given = {f.name: (getattr(task, f.name), f.default) for f in dataclasses.fields(task)}
+    spec.kwargs = {name: value for name, (value, default) in given.items() if value != default}
     try:
         spec.to_json()
     except (ValueError, TypeError, AttributeError):
         return None
-    return spec if same else None
+    return None if "description" in spec.kwargs else spec

@@ -6,24 +6,16 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import optional, require
 from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import ACTION, COLUMNS, UNITS
 from steerkit.controllers.state_description import StateDescription
-
-try:
-    import onnx
-    import onnxruntime
-except ImportError as why:
-    raise ImportError(
-        "steerkit.export.onnx needs onnx and onnxruntime: pip install 'steerkit-control[export]'"
-    ) from why
 
 Array = NDArray[np.float64]
 OPSET = 17
@@ -38,22 +30,20 @@ def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *,
     nearly equal cost may come out differently. Names, units and ranges stand in the model's metadata.
 
     Raises ValueError for a policy without nets, or one that is more than its nets (a forecast, actions between those of
-    its set); TypeError for a block that holds no net.
+    its set), or without onnx; TypeError for a block that holds no net.
     """
-    graph = _Graph(single)
     if isinstance(block, NfqPolicy):
         require(bool(block.nets), "export_onnx", "the policy has no nets: nothing was learned yet")
         more = block.forecast is not None or block.continuous
         fault = (
             "the policy is more than its nets: it forecasts, or takes actions between those of its set. Export its "
-            "loop as C (export_c), or learn with --with fit.dead_time=0 --with continuous=false"
+            "loop as C (export_c), or learn with --setting model-free or --with fit.dead_time=0 --with continuous=false"
         )
         require(not more, "export_onnx", fault)
-        actions, values = _nfq(graph, block)
-    elif isinstance(block, PolicyBlock) and isinstance(block.policy, Network):
-        actions, values = _network(graph, block, block.policy), None
-    else:
+    elif not isinstance(block, PolicyBlock) or not isinstance(block.policy, Network):
         raise TypeError(f"export_onnx: {block!r}; valid: an NfqPolicy, or a PolicyBlock of a Network")
+    graph = _Graph(single)
+    actions, values = _nfq(graph, block) if isinstance(block, NfqPolicy) else (_network(graph, block), None)
     graph.finish(file, block.description, block.dt, action=actions, q=values)
 
 
@@ -67,7 +57,9 @@ def check_onnx(
     """
     d = block.description
     s = d.mid + d.half * np.random.default_rng(seed).uniform(-2.0, 2.0, (states, len(d.names)))
-    session = onnxruntime.InferenceSession(os.fspath(file), providers=["CPUExecutionProvider"])
+    session = optional("onnxruntime", "check_onnx", "export").InferenceSession(
+        os.fspath(file), providers=["CPUExecutionProvider"]
+    )
     kind = np.float32 if session.get_inputs()[0].type == "tensor(float)" else np.float64
     names = [output.name for output in session.get_outputs()]
     answers = dict(zip(names, session.run(names, {"state": s.astype(kind)})))
@@ -136,9 +128,9 @@ def _combined(graph: _Graph, values: str, combine: str) -> str:
     return graph.op("Add", mean, spread)
 
 
-def _network(graph: _Graph, block: PolicyBlock, net: Network) -> str:
+def _network(graph: _Graph, block: PolicyBlock) -> str:
     """The graph of a policy block's net and its head."""
-    d = block.description
+    d, net = block.description, cast(Network, block.policy)
     h = graph.op("Div", graph.op("Sub", "state", graph.number(d.mid)), graph.number(d.half))
     h = graph.op("Clip", h, graph.number(-BOUND), graph.number(BOUND))
     for i, (w, b) in enumerate(net.layers):
@@ -156,6 +148,7 @@ class _Graph:
     """Nodes and constants while a model is being made."""
 
     def __init__(self, single: bool):
+        self.onnx = optional("onnx", "export_onnx", "export")
         self.float: Any = np.float32 if single else np.float64
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
@@ -170,18 +163,18 @@ class _Graph:
 
     def _constant(self, array: NDArray[Any]) -> str:
         name = f"c{len(self._constants)}"
-        self._constants.append(onnx.numpy_helper.from_array(array, name))
+        self._constants.append(self.onnx.numpy_helper.from_array(array, name))
         return name
 
     def op(self, kind: str, *inputs: str, **attributes: Any) -> str:
         """A node; returns the name of what it computes."""
         name = f"{kind.lower()}{len(self._nodes)}"
-        self._nodes.append(onnx.helper.make_node(kind, list(inputs), [name], **attributes))
+        self._nodes.append(self.onnx.helper.make_node(kind, list(inputs), [name], **attributes))
         return name
 
     def finish(self, file: str | os.PathLike[str], d: StateDescription, dt: float, **outputs: str | None) -> None:
         """Write the model with these outputs, which are NaN where the state is not sound."""
-        helper = onnx.helper
+        helper = self.onnx.helper
         kind = helper.np_dtype_to_tensor_dtype(np.dtype(self.float))
         total = self.op("ReduceSum", "state", self.whole([1]), keepdims=0)
         largest = 1e300 if self.float is np.float64 else 1e38
@@ -209,6 +202,6 @@ class _Graph:
         )
         about = {"columns": columns, "low": list(d.low), "high": list(d.high), "sample_time_s": dt}
         helper.set_model_props(model, {name: str(value) for name, value in about.items()})
-        onnx.checker.check_model(model, full_check=True)
+        self.onnx.checker.check_model(model, full_check=True)
         with open(file, "wb") as stream:
             stream.write(model.SerializeToString())

@@ -4,5 +4,6 @@ from .env import TrackSteering as TrackSteering
 from .stable_baselines import Network as Network
 from .stable_baselines import PolicyBlock as PolicyBlock
 from .stable_baselines import from_stable_baselines as from_stable_baselines
+from .stable_baselines import stable_baselines_vec as stable_baselines_vec
 from .task import Task as Task
 from .vector_env import TrackSteeringVector as TrackSteeringVector

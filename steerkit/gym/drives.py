@@ -10,12 +10,13 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from steerkit._support import native
 from steerkit._support.errors import require
 from steerkit.compiled.trace import TraceError
 from steerkit.diagram.loop import LoopState
 from steerkit.gym.episodes import Episodes
 from steerkit.gym.starts import Draw, each
-from steerkit.gym.task import Array, Task, not_finite
+from steerkit.gym.task import Array, Task, require_finite
 
 Backend = Literal["python", "c"]
 
@@ -29,8 +30,11 @@ def cars_of(
         return Drives(task, cars, mode)
     try:
         return Episodes(task, cars, mode, threads)
+    except native.NoCompilerError as error:
+        raise native.NoCompilerError(f"{error}; or go without: backend='python'") from error
     except TraceError as error:
-        gymnasium.logger.warn(f"TrackSteering: {error}; all is computed in Python")
+        cure = "to compile it, use steerkit.diagram.maths in place of numpy"
+        gymnasium.logger.warn(f"TrackSteering: {error}; all is computed in Python; {cure}")
         return Drives(task, cars, mode)
 
 
@@ -85,11 +89,9 @@ class Drives:
         before = self._s.copy()
         self._advance(actions)
         self._values = self._look()
-        if not np.isfinite(self._values).all():
-            row, car = np.argwhere(~np.isfinite(self._values))[0]
-            raise not_finite(self._signals[row], car, self._values[row, car], self._steps[car] + 1)
         self._steps += 1
         self._cost, failed = self.task.price(before, actions, self._s)
+        require_finite(self._signals, np.vstack([self._values, self._cost]), self._steps)
         late = (self._steps >= self.task.longest) | (self._info("path.s") >= self.task.end)
         self.reward = np.where(failed, -self.task.failure, -self._cost)
         self.terminated, self.truncated = failed, late & ~failed

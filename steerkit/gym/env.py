@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import known
 from steerkit.gym.drives import Backend, cars_of
 from steerkit.gym.frames import Painter
 from steerkit.gym.task import Task
@@ -30,10 +30,8 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
 
     def __init__(self, *, render_mode: str | None = None, backend: Backend = "python", **options: Any):
-        modes = self.metadata["render_modes"]
-        require(
-            render_mode in (None, *modes), "TrackSteering", f"render_mode {render_mode!r}; valid: {', '.join(modes)}"
-        )
+        if render_mode is not None:
+            known(render_mode, self.metadata["render_modes"], "TrackSteering: render_mode")
         self.task = Task.of(options)
         self.render_mode = render_mode
         self.action_space = self.task.action_space
@@ -48,10 +46,7 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
         super().reset(seed=seed)
         self._cars.draw_from([self.np_random])
         self._cars.start(_CAR, [self.task.starts.draw(self.np_random, options)])
-        info = self._info()
-        if self._painter:
-            self._painter.begin(info)
-        return self._observed(), info
+        return self._observed(), self._info()
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one sample; raises ResetNeeded after the end of an episode."""
@@ -61,10 +56,8 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
             )
         cars = self._cars
         cars.step(self.task.angle(action, ()))
-        info = self._info()
-        if self._painter:
-            self._painter.add(info)
-        return self._observed(), float(cars.reward[0]), bool(cars.terminated[0]), bool(cars.truncated[0]), info
+        judged = float(cars.reward[0]), bool(cars.terminated[0]), bool(cars.truncated[0])
+        return self._observed(), *judged, self._info()
 
     def render(self) -> Any:
         """The frame of this moment, (height, width, 3) uint8; None without a render_mode."""
@@ -77,4 +70,7 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
         return self._cars.observation[0].copy()
 
     def _info(self) -> dict[str, Any]:
-        return {name: float(values[0]) for name, values in self._cars.infos().items()}
+        info = {name: float(values[0]) for name, values in self._cars.infos().items()}
+        if self._painter:
+            self._painter.add(info)
+        return info

@@ -21,7 +21,7 @@ from steerkit.compiled.trace import Tick, Trace, trace, traced
 from steerkit.controllers.network_policy import BOUND
 from steerkit.diagram.maths import Table
 from steerkit.gym.starts import Draw, reseeded
-from steerkit.gym.task import Array, Task, not_finite
+from steerkit.gym.task import Array, Task, require_finite
 
 _HOW = {AutoresetMode.NEXT_STEP: 0, AutoresetMode.SAME_STEP: 1, AutoresetMode.DISABLED: 2}
 _A_THREAD = 256  # cars for which a second thread is worth its start
@@ -151,11 +151,8 @@ class Episodes:
         return named | {"t": steps[: self.n] * self.task.dt, "cost": cost[: self.n].copy()}
 
     def _explain(self) -> None:
-        signals = self._arrays["signals"].transpose(1, 0, 2).reshape(len(self._signals), -1)[:, : self.n]
-        wrong = np.argwhere(~np.isfinite(signals))
-        if len(wrong):
-            row, car = wrong[0]
-            raise not_finite(self._signals[row], car, signals[row, car], self._arrays["steps"][car])
+        signals = self._arrays["signals"].transpose(1, 0, 2).reshape(len(self._signals), -1)
+        require_finite(self._signals, np.vstack([signals, self._arrays["cost"]])[:, : self.n], self._arrays["steps"])
 
 
 # ---- the C ---------------------------------------------------------------------------------------------------

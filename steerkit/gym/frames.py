@@ -25,13 +25,10 @@ class Painter:
         self._seen: deque[Mapping[str, Any]] = deque(maxlen=round(_SECONDS / task.dt))
         self._scene: Scene | None = None
 
-    def begin(self, info: Mapping[str, Any]) -> None:
-        """A new episode."""
-        self._seen.clear()
-        self.add(info)
-
     def add(self, info: Mapping[str, Any]) -> None:
-        """One sample: what an environment's `info` holds."""
+        """One sample: what an environment's `info` holds; with t = 0 an episode begins."""
+        if info["t"] == 0.0:
+            self._seen.clear()
         self._seen.append(info)
 
     def frame(self) -> NDArray[np.uint8]:

@@ -7,24 +7,26 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from steerkit._support.errors import require, require_within
+from steerkit._support.errors import known, require, require_within
 from steerkit._support.random import OpenSeed
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, State
-from steerkit.diagram.loop import Loop, LoopState
+from steerkit.diagram.loop import LoopState
 from steerkit.diagram.maths import Scalar
 from steerkit.doe import HeldAngle, OutputElement
-from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.disturbed_plant import GUST_STATES, DisturbedPlant
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator, TorqueSteering
-from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario import END_MARGIN
+
+if TYPE_CHECKING:
+    from steerkit.gym.task import Task
 
 LEAST_ROOM = 30.0
 """A car on an open course starts at least so far from where it ends [m]."""
@@ -39,63 +41,58 @@ class Draw(NamedTuple):
     psi_e: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Starts:
     """The starts of a task's episodes: where on the course, how far and how much turned off it, with which seed.
 
     A single-track car starts in the steady state of the bend it is in: sideslip, yaw rate, wheel and motor settled.
     """
 
-    place: Scenario
-    loop: Loop
-    path: Path
-    limit: float
-    """|e| [m] beyond which an episode has failed: none starts there."""
-    beginning: bool
-    """At the beginning of the course, or anywhere?"""
-    e: float
-    """Largest |e| that is drawn [m]."""
-    psi_e: float
-    """Largest turn that is drawn [rad]."""
+    task: Task
 
     @cached_property
     def last(self) -> float:
         """The largest s at which an episode starts [m]."""
-        return self.path.length if self.path.closed else max(0.0, self.path.length - END_MARGIN - LEAST_ROOM)
+        return (
+            self.task.path.length
+            if self.task.path.closed
+            else max(0.0, self.task.path.length - END_MARGIN - LEAST_ROOM)
+        )
 
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Draw:
         """The start of an episode; `options` s [m], e [m], psi_e [rad] stand for what is drawn otherwise."""
         given = dict(options or {})
-        valid = {"s": ("m", 0.0, self.path.length), "e": ("m", -self.limit, self.limit), "psi_e": ("rad", -1.6, 1.6)}
-        unknown = [name for name in given if name not in valid]
-        require(not unknown, "TrackSteering.reset", f"option {unknown[:1]} is not known; valid: s, e, psi_e")
+        valid = {
+            "s": ("m", 0.0, self.task.path.length),
+            "e": ("m", -self.task.limit, self.task.limit),
+            "psi_e": ("rad", -1.6, 1.6),
+        }
         for name, value in given.items():
-            require_within("TrackSteering.reset", name, value, *valid[name])
+            require_within(
+                "TrackSteering.reset", name, value, *valid[known(name, valid, "TrackSteering.reset: option")]
+            )
             require(np.ndim(value) == 0, "TrackSteering.reset", f"{name} = {value!r}, expected one number")
-        seed = int(rng.integers(2**31))
-        s, e, psi_e = rng.random() * self.last, rng.uniform(-self.e, self.e), rng.uniform(-1.0, 1.0)
-        chosen = {"s": 0.0 if self.beginning else s, "e": e, "psi_e": self.psi_e * psi_e} | given
-        drawn = Draw(seed, *(float(chosen[name]) for name in ("s", "e", "psi_e")))
-        fits = 0.0 <= drawn.s <= self.path.length and abs(drawn.e) < self.limit and abs(drawn.psi_e) < 1.6
-        require(fits, "TrackSteering.reset", f"{drawn}, expected s on the course, |e| < limit, |psi_e| < 1.6 rad")
-        return drawn
+        task, seed, s = self.task, int(rng.integers(2**31)), rng.random() * self.last
+        e, psi_e = rng.uniform(-task.start_e, task.start_e), task.start_psi_e * rng.uniform(-1.0, 1.0)
+        chosen = {"s": 0.0 if task.start == "beginning" else s, "e": e, "psi_e": psi_e} | given
+        return Draw(seed, *(float(chosen[name]) for name in ("s", "e", "psi_e")))
 
     def states(self, draws: Sequence[Draw]) -> LoopState:
         """The loop's state of len(draws) cars, settled."""
         s, e, psi_e = np.array([draw[1:] for draw in draws]).T
-        return self.state(s, e, psi_e, [self._drawn(block, draws) for block in self.loop.blocks.values()])
+        return self.state(s, e, psi_e, [self._drawn(block, draws) for block in self.task.loop.blocks.values()])
 
     def state(self, s: Scalar, e: Scalar, psi_e: Scalar, drawn: Sequence[State]) -> LoopState:
         """The loop's state, settled, of cars e [m] left of the path at s [m], turned by psi_e [rad]: arrays or symbols.
 
         drawn: the state of each block at its start, with the random numbers of its seed.
         """
-        loop, batch = self.loop, np.shape(s) if isinstance(s, np.ndarray) else ()
+        loop, batch = self.task.loop, np.shape(s) if isinstance(s, np.ndarray) else ()
         x = dict(zip(loop.names, drawn))
         for name, block in loop.blocks.items():
             if isinstance(block, PathTracker):
                 x[name] = block.X(s, 0.0 * s)
-        px, py, dx, dy, ddx, ddy = self.path.frame(self.path.inside(s))
+        px, py, dx, dy, ddx, ddy = self.task.path.frame(self.task.path.inside(s))
         psi, kappa = m.atan2(dy, dx), dx * ddy - dy * ddx
         px, py = px - e * m.sin(psi), py + e * m.cos(psi)
         gusts = x["car"][-GUST_STATES:] if isinstance(loop.blocks["car"], DisturbedPlant) else ()
@@ -110,7 +107,7 @@ class Starts:
         beta = (c.l_r - c.m * v**2 * c.l_f / (c.c_r * c.wheelbase)) * kappa
         wheel = c.steer_ratio * (c.wheelbase + c.understeer_gradient * v**2) * kappa
         wheel = m.clip(wheel, -c.delta_sw_max, c.delta_sw_max)
-        drift = m.atan2(v * m.sin(beta) + r * self.place.ahead, v * m.cos(beta))
+        drift = m.atan2(v * m.sin(beta) + r * self.task.place.ahead, v * m.cos(beta))
         at = self._car_at(px, py, psi + (psi_e - drift), batch)
         sway = v * m.sin(beta) if isinstance(car, NonlinearSingleTrack) else beta
         start = at._replace(sway=sway, r=r, v=v, delta_sw=wheel)
@@ -127,12 +124,12 @@ class Starts:
     @property
     def _car(self) -> Any:
         """The car itself, without what pushes it."""
-        car = self.loop.blocks["car"]
+        car = self.task.loop.blocks["car"]
         return car.block if isinstance(car, DisturbedPlant) else car
 
     def _car_at(self, x: Scalar, y: Scalar, psi: Scalar, batch: tuple[int, ...]) -> Any:
         """The car's state with its reference point at x, y [m] and this heading [rad]."""
-        x, y = x - self.place.ahead * m.cos(psi), y - self.place.ahead * m.sin(psi)
+        x, y = x - self.task.place.ahead * m.cos(psi), y - self.task.place.ahead * m.sin(psi)
         car = self._car
         state = car.init(batch)
         if isinstance(state, SingleTrackState):

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -15,7 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from steerkit._support.errors import check_numbers, known, number, require
-from steerkit.controllers.network_policy import BOUND
+from steerkit.controllers.network_policy import BOUND, angles_of
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.state_description import StateDescription
@@ -96,7 +97,7 @@ class Task:
     integrator, else 520 degrees."""
     cost: Any = "smooth"
     """`smooth` (`SmoothCost` of the wheel's steps), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`,
-    or the fields of one with its class under `kind`."""
+    also a function of yours, or the fields of one with its class under `kind`."""
     limit: float = number(TRIP, "m", above=0.05, high=10.0)
     """|e| [m] beyond which the episode has failed, for a cost given by name (others bring their own `trip`)."""
     failure: float = number(1.0, "1", low=0.0, high=1e9)
@@ -114,34 +115,35 @@ class Task:
     """Is there a `SafetyFilter` between the agent and the wheel? It keeps |e| of the front axle within 0.5 m, whatever
     the agent does. `info` holds `correction` [rad] and `share` [1] then: an agent that is corrected should observe it.
     A mapping has fields of the filter that are not to be its own: `{"delay_doubt": 0.1}`."""
-    description: StateDescription = STANDARD
-    """The observation's columns and ranges: names of the tracker's or the sensors' outputs, or `doe`; column 0 is e."""
+    description: Any = STANDARD
+    """The observation's columns and ranges: names of the tracker's or the sensors' outputs, or `doe`; column 0 is e. A
+    mapping of columns to what becomes -1 and 1, `{"e": (-1.0, 1.0), "v": (0.0, 10.0)}`, becomes a description."""
 
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> Task:
         """The task with these options; raises ValueError naming an unknown one and all valid ones."""
         valid = [field.name for field in dataclasses.fields(cls)]
-        unknown = [name for name in options if name not in valid]
-        require(not unknown, "TrackSteering", f"option {unknown[:1]} is not known; valid: {', '.join(valid)}")
+        for name in options:
+            known(name, valid, "TrackSteering: option")
         return cls(**options)
 
     def __post_init__(self) -> None:
         where = "TrackSteering"
         if isinstance(self.actions, str):
-            choices = ", ".join(ACTIONS)
-            require(self.actions in ACTIONS, where, f"actions {self.actions!r}; valid: {choices}, or angles [rad]")
+            known(self.actions, ACTIONS, f"{where}: actions", also="angles [rad] of your own")
         else:
-            angles = np.array([*self.actions], dtype=float)
-            object.__setattr__(self, "actions", tuple(angles.tolist()))
-            fits = len(angles) >= 2 and bool((np.abs(angles) < 20.0).all())
-            require(fits, where, f"actions = {self.actions}, expected at least two angles [rad]")
-        fits = isinstance(self.doe, Block) or self.doe is None or self.doe in ELEMENTS
-        require(fits, where, f"doe {self.doe!r}; valid: {', '.join(ELEMENTS)}, or a block")
-        choices = f"smooth, paper, a Cost, or its fields with a kind: {', '.join(COST_KINDS)}"
-        require(_is_cost(self.cost), where, f"cost {self.cost!r}; valid: {choices}")
+            angles = np.array(self.actions, dtype=object)
+            fits = angles.ndim == 1 and all(isinstance(a, Real) and abs(float(a)) < 20.0 for a in angles)
+            expected = f"expected at least two angles [rad] within +-20, or one of {', '.join(ACTIONS)}"
+            require(fits and len(angles) > 1, where, f"actions = {self.actions!r}, {expected}")
+            object.__setattr__(self, "actions", tuple(map(float, angles)))
+        fits = isinstance(self.doe, Block) and {"action"} <= {port.name for port in self.doe.inputs}
+        choices = f"valid: {', '.join(ELEMENTS)}, or a block with an input action [rad], such as Integrator()"
+        require(fits or self.doe in (None, *ELEMENTS), where, f"doe {self.doe!r}; {choices}")
         require(self.start in ("anywhere", "beginning"), where, f"start {self.start!r}; valid: anywhere, beginning")
         check_numbers(self, where)
         require(self.start_e < self.limit, where, f"start_e = {self.start_e} [m], expected below limit, {self.limit:g}")
+        object.__setattr__(self, "description", _described(self.description))
         require(self.description.names[0] == "e", where, f"column 0 is '{self.description.names[0]}', expected 'e'")
         plain = (self.course, self.vehicle, self.conditions) == ("paper", "vw-passat", "clean")
         words = "course, vehicle and conditions belong to the scenario; give them inside `scenario`, or no scenario"
@@ -150,8 +152,28 @@ class Task:
             f"scenario {self.scenario!r:.60}, expected a Scenario, a dictionary of its fields, or its TOML file"
         )
         require(isinstance(self.place, Scenario), where, known_place)
+        require(isinstance(self.safe, bool | Mapping), where, f"safe {self.safe!r}; valid: False, True, or its fields")
         for name in self.safe if isinstance(self.safe, Mapping) else ():
             known(name, [field.name for field in dataclasses.fields(SafetyFilter)], "field of safe")
+        for n in (1, 3):
+            self._try_cost(np.tile(self.description.mid, (n, 1)))
+
+    def _try_cost(self, s: Array) -> None:
+        """Raise ValueError unless the cost answers as it has to, for cars in these states (n, columns)."""
+        price, n = self.price, len(s)
+        where = f"TrackSteering: cost {getattr(price, '__name__', type(price).__name__)}"
+        expected = (
+            f"expected of s, s_next {s.shape} [{', '.join(self.description.names)}] and a ({n},) [rad] two arrays: the "
+            f"cost ({n},) [1], float, and who has failed ({n},), bool"
+        )
+        try:
+            cost, failed = (np.asarray(part) for part in price(s, np.zeros(n), s))
+        except Exception as error:
+            raise ValueError(f"{where}: {type(error).__name__}: {error}; {expected}") from error
+        fits = cost.shape == failed.shape == (n,) and cost.dtype.kind in "fiu" and failed.dtype == bool
+        given = f"{cost.dtype} {cost.shape} and {failed.dtype} {failed.shape}"
+        require(fits, where, f"gave {given}, {expected}")
+        require(np.isfinite(cost), where, f"gave {cost[0]} [1] for s = s_next = {s[0]}, expected a finite number")
 
     # ---- what is steered ------------------------------------------------------------------------------------
 
@@ -196,10 +218,17 @@ class Task:
     def price(self) -> Cost:
         """The cost."""
         if isinstance(self.cost, Mapping):
-            return COST_KINDS[self.cost["kind"]](**{n: v for n, v in self.cost.items() if n != "kind"})
-        if not isinstance(self.cost, str):
+            fields = dict(self.cost)
+            kind = COST_KINDS[known(str(fields.pop("kind", None)), COST_KINDS, "TrackSteering: kind of cost")]
+            for name in fields:
+                known(
+                    name, [field.name for field in dataclasses.fields(kind)], f"TrackSteering: field of {kind.__name__}"
+                )
+            return kind(**fields)
+        if callable(self.cost) and not isinstance(self.cost, type):
             return self.cost
-        if self.cost == "paper":
+        choices = f"a Cost, a function cost(s, a, s_next), or fields with a kind: {', '.join(COST_KINDS)}"
+        if known(f"{self.cost}", ("smooth", "paper"), "TrackSteering: cost", also=choices) == "paper":
             return IdoeCost(trip=self.limit) if self.angles and 0.0 in self.angles else BandCost(trip=self.limit)
         well = TanhCost(goal=min(0.15, 0.5 * self.limit), trip=self.limit, action_cost=0.0)
         if isinstance(self.element, Integrator):
@@ -222,11 +251,9 @@ class Task:
         signals = []
         for name in self.description.names:
             of = ["doe.state"] if name == "doe" else [f"{tracker}.{name}", f"{seen}.{name}", f"car.{name}"]
-            signal = next((signal for signal in of if signal in names), None)
-            if signal is None:
-                known = [n.split(".")[1] for n in names if n.split(".")[0] in (tracker, seen)]
-                raise ValueError(f"TrackSteering: description column '{name}' is no signal; valid: {known}, doe")
-            signals.append(signal)
+            found = [signal for signal in of if signal in names]
+            valid = [n.split(".")[1] for n in names if n.split(".")[0] in (tracker, seen)]
+            signals.append(found[0] if found else known(name, [*valid, "doe"], "TrackSteering: description column"))
         return tuple(signals)
 
     @property
@@ -269,23 +296,9 @@ class Task:
     def _ranges(self) -> tuple[Array, Array]:
         return self.description.mid, self.description.half
 
-    @cached_property
-    def _angles(self) -> Array:
-        return np.array(self.angles or ())
-
     def angle(self, actions: Any, shape: tuple[int, ...]) -> Array:
         """The actions [rad] (N,) that an agent's actions mean; raises ValueError for one outside of the space."""
-        given = np.asarray(actions)
-        if self.angles:
-            whole = given.shape == shape and bool(np.all((given >= 0) & (given < len(self.angles))))
-            whole = whole and (given.dtype.kind in "iu" or bool(np.all(given % 1 == 0)))
-            if not whole:
-                raise ValueError(f"TrackSteering.step: action {actions!r}, expected 0 to {len(self.angles) - 1}")
-            return self._angles[given.astype(np.intp)].reshape(-1)
-        fits = given.size == math.prod(shape) and bool(np.all(np.abs(given) <= 1.0 + 1e-6))
-        if not fits:
-            raise ValueError(f"TrackSteering.step: action {actions!r}, expected within [-1, 1], one number a car")
-        return given.astype(float).reshape(-1) * self.scale
+        return angles_of(actions, math.prod(shape), self.angles, self.scale, "TrackSteering.step: action")
 
     def observation(self, s: Array) -> NDArray[np.float32]:
         """What the agent sees of states (N, columns)."""
@@ -295,26 +308,23 @@ class Task:
     @cached_property
     def starts(self) -> Starts:
         """Where and in which state its episodes start."""
-        return Starts(
-            place=self.place,
-            loop=self.loop,
-            path=self.path,
-            limit=self.limit,
-            beginning=self.start == "beginning",
-            e=self.start_e,
-            psi_e=self.start_psi_e,
-        )
+        return Starts(self)
 
 
-def not_finite(signal: str, car: int, value: float, steps: int) -> FloatingPointError:
-    """The error for a signal that is no finite number any more."""
-    return FloatingPointError(
-        f"TrackSteering: {signal} of car {car} is {value} after {steps} steps; a block of the scenario, or an action, "
-        "is out of its range"
-    )
+def require_finite(signals: Sequence[str], values: Array, steps: Array) -> None:
+    """Raise FloatingPointError naming the first of the values (signals and the cost, N) that is no finite number."""
+    for row, car in np.argwhere(~np.isfinite(values)):
+        what = f"{[*signals, 'the cost'][row]} of car {car} is {values[row, car]} after {steps[car]} steps"
+        raise FloatingPointError(f"TrackSteering: {what}; a block of the scenario, or an action, is out of its range")
 
 
-def _is_cost(cost: Any) -> bool:
-    if isinstance(cost, str):
-        return cost in ("smooth", "paper")
-    return cost.get("kind") in COST_KINDS if isinstance(cost, Mapping) else callable(cost)
+def _described(columns: Any) -> StateDescription:
+    """The description that a task was given, or the one of these columns and their ranges."""
+    if isinstance(columns, StateDescription):
+        return columns
+    fits = isinstance(columns, Mapping) and len(columns) > 0 and all(np.shape(r) == (2,) for r in columns.values())
+    expected = "expected a StateDescription, or columns and their ranges, such as {'e': (-1.0, 1.0), 'v': (0.0, 10.0)}"
+    require(fits, "TrackSteering", f"description {columns!r:.60}, {expected}")
+    low, high = zip(*columns.values())
+    ones = (1.0,) * len(columns)
+    return StateDescription(names=tuple(columns), low=low, high=high, mirror_signs=ones, goal=ones)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from numbers import Integral
 from typing import Any
 
 import gymnasium
@@ -12,7 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import known, require
 from steerkit.gym.drives import Backend, cars_of
 from steerkit.gym.frames import Painter
 from steerkit.gym.task import Task
@@ -48,13 +49,14 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         **options: Any,
     ):
         where = "TrackSteeringVector"
-        require(num_envs >= 1, where, f"num_envs = {num_envs}, expected a number of cars >= 1")
-        require(render_mode in (None, "rgb_array"), where, f"render_mode {render_mode!r}; valid: rgb_array")
-        valid = [mode.value for mode in AutoresetMode]
-        known = isinstance(autoreset_mode, AutoresetMode) or autoreset_mode in valid
-        require(known, where, f"autoreset_mode {autoreset_mode!r}; valid: {', '.join(valid)}")
+        for name, number in (("num_envs", num_envs), ("threads", 1 if threads is None else threads)):
+            fits = isinstance(number, Integral) and number >= 1
+            require(fits, where, f"{name} = {number!r}, expected a whole number >= 1")
+        if render_mode is not None:
+            known(render_mode, ["rgb_array"], f"{where}: render_mode")
+        if not isinstance(autoreset_mode, AutoresetMode):
+            known(autoreset_mode, [mode.value for mode in AutoresetMode], f"{where}: autoreset_mode")
         self.task, self.num_envs, self.render_mode = Task.of(options), num_envs, render_mode
-        require(threads is None or threads >= 1, where, f"threads = {threads}, expected a number >= 1, or None")
         self._mode, self._copy = AutoresetMode(autoreset_mode), copy
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 20, "autoreset_mode": self._mode}
         self.single_action_space = self.task.action_space
@@ -64,7 +66,6 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         self._cars = cars_of(self.task, num_envs, backend, self._mode, threads)
         self._painters = [Painter(self.task) for _ in range(num_envs)] if render_mode else []
         self._seeded: list[tuple[np.random.Generator, int]] = []
-        self._all = np.ones(num_envs, dtype=bool)
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
@@ -99,9 +100,9 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         self._cars.draw_from([rng for rng, _ in generators])
         cars = np.flatnonzero(mask)
         self._cars.start(cars, [self.task.starts.draw(generators[i][0], given) for i in cars.tolist()])
-        infos = self._infos(mask)
+        infos = _masked(self._cars.infos(), mask)
         for i in cars.tolist() if self._painters else ():
-            self._painters[i].begin({name: values[i] for name, values in infos.items()})
+            self._painters[i].add({name: values[i] for name, values in infos.items()})
         return self._observed(), infos
 
     def step(self, actions: Any) -> tuple[NDArray[np.float32], NDArray[Any], Flags, Flags, dict[str, Any]]:
@@ -110,14 +111,16 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         if stopped.any() and (self._mode is not AutoresetMode.NEXT_STEP or not self._seeded):
             raise gymnasium.error.ResetNeeded(f"step: the episodes of cars {np.flatnonzero(stopped)} are over; reset()")
         cars.step(self.task.angle(actions, self.action_space.shape or ()))
-        infos = self._infos(self._all)
+        infos = _masked(self._cars.infos(), np.ones(self.num_envs, dtype=bool))
         ended, same_step = cars.terminated | cars.truncated, self._mode is AutoresetMode.SAME_STEP
-        begun = ended if same_step else stopped
         for i, painter in enumerate(self._painters):
-            show = painter.begin if begun[i] else painter.add
-            show({name: values[i] for name, values in infos.items()})
+            painter.add({name: values[i] for name, values in infos.items()})
         if same_step and ended.any():
-            infos |= _final(ended, *cars.last())
+            final, (seen, last) = np.full(len(ended), None, dtype=object), cars.last()
+            for car in np.flatnonzero(ended):
+                final[car] = seen[car]
+            infos |= {"final_obs": final, "final_info": _masked(last, ended)}
+            infos |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
         judged = cars.reward, cars.terminated, cars.truncated
         return self._observed(), *([a.copy() for a in judged] if self._copy else judged), infos
 
@@ -133,20 +136,10 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
     def _observed(self) -> NDArray[np.float32]:
         return self._cars.observation.copy() if self._copy else self._cars.observation
 
-    def _infos(self, mask: Flags) -> dict[str, Any]:
-        infos: dict[str, Any] = {}
-        every = bool(mask.all())
-        for name, values in self._cars.infos().items():
-            infos[name], infos[f"_{name}"] = values if every else np.where(mask, values, 0.0), mask.copy()
-        return infos
 
-
-def _final(over: Flags, seen: NDArray[np.float32], infos_then: dict[str, NDArray[np.float64]]) -> dict[str, Any]:
-    """The last observations and infos of the episodes that are over, in Gymnasium's form."""
-    final = np.full(len(over), None, dtype=object)
-    for i in np.flatnonzero(over):
-        final[i] = seen[i]
-    infos: dict[str, Any] = {}
-    for name, values in infos_then.items():
-        infos[name], infos[f"_{name}"] = np.where(over, values, 0.0), over.copy()
-    return {"final_obs": final, "final_info": infos, "_final_obs": over.copy(), "_final_info": over.copy()}
+def _masked(infos: Mapping[str, Any], mask: Flags) -> dict[str, Any]:
+    """Infos in Gymnasium's form: 0 for the others, and whose they are."""
+    masked, every = dict[str, Any](), bool(mask.all())
+    for name, values in infos.items():
+        masked[name], masked[f"_{name}"] = values if every else np.where(mask, values, 0.0), mask.copy()
+    return masked

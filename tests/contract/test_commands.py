@@ -13,10 +13,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from steerkit.controllers.network_policy import Network, PolicyBlock
 from tests.support import programs
 from tests.support.compilers import optimising
 from tests.support.places import ROOT
@@ -171,6 +174,9 @@ def make(name: str, folder: Path, learned: Path) -> None:
         programs.python("-c", "\n".join(codes), folder=folder, environment=environment).check_returncode()
     elif name in ("examples", "can.log.gz"):
         (folder / name).symlink_to(ROOT / {"can.log.gz": "tests/support/rav4/can.log.gz"}.get(name, name))
+    elif name.startswith("agent-"):  # where there is no Stable-Baselines3 to train it
+        law = Network(layers=((np.array([[-0.6, -1.0, 0.0, 0.0, -0.3, 0.0]]), np.zeros(1)),), head="clip")
+        PolicyBlock(policy=law).save(folder / name)
     elif name == "drive.npz":
         drive = ("drive", "stanley", "--course", "circle", "--rounds", "0.05", "--quiet", "--out", "d")
         programs.python("-m", "steerkit", *drive, folder=folder).check_returncode()
@@ -234,6 +240,8 @@ def test_the_shell_lines_of_a_page_run_in_their_order(page: Path, shell: Shell, 
         shell.environment["CC"] = optimising()
     faults = []
     for step in steps_of(page):
+        if step.package and not find_spec(step.package):
+            continue
         for name in step.needs:
             if not (shell.folder / name).exists():
                 make(name, shell.folder, request.getfixturevalue("learned"))
@@ -299,5 +307,5 @@ def test_an_example_without_its_package_says_what_to_install(script: str, shell:
         f"python -c \"{hidden}; runpy.run_path({str(ROOT / 'examples' / script)!r}, run_name='__main__')\""
     )
     assert (done.returncode, done.stdout) == (1, "")
-    assert "pip install 'steerkit-control[peers]'" in done.stderr
+    assert "pip install 'steerkit-control[gym]'" in done.stderr
     assert "Traceback" not in done.stderr

@@ -19,6 +19,7 @@ from steerkit.compiled.trace import TraceError
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
+from steerkit.gym import Task, TrackSteering, TrackSteeringVector, from_stable_baselines
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
 from tests.support.command_lines import run
@@ -42,6 +43,7 @@ NAMES: dict[str, Any] = {
     **{name: getattr(steerkit, name) for name in steerkit.__all__},
     "ConstantSpeed": ConstantSpeed,
     "Scenario": Scenario,
+    **{one.__name__: one for one in (Task, TrackSteering, TrackSteeringVector, from_stable_baselines)},
     "dataclass": dataclass,
     "math": math,
     "m": m,

@@ -53,6 +53,8 @@ class Step:
     """The line as the reader sees it."""
     run: str
     """The line as it is run, a shorter form where the one shown takes long."""
+    package: str = ""
+    """One that not every environment has: where it is not installed, the line is left out."""
     needs: tuple[str, ...] = ()
     """Files that have to be there: those that the text has the reader make."""
     files: tuple[str, ...] = ()

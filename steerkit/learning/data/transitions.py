@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import optional, require
 from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers.state_description import StateDescription
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Transitions:
@@ -103,6 +106,18 @@ class Transitions:
         part = Transitions(self.names)
         part.extend(self.s[rows], self.a[rows], self.s_next[rows], self.episode[rows], self.own[rows])
         return part
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row a transition, in SI: s by its columns' names, a, s_next with `next_` before them, episode, own.
+
+        Needs pandas (extra `bench`).
+        """
+        pandas = optional("pandas", "Transitions.to_pandas", "bench")
+        after = [f"next_{name}" for name in self.names]
+        frame: pd.DataFrame = pandas.DataFrame(
+            np.column_stack([self.s, self.a, self.s_next]), columns=[*self.names, "a", *after]
+        )
+        return frame.assign(episode=self.episode, own=self.own)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything to one .npz file (no pickle)."""

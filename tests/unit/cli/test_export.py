@@ -1,11 +1,14 @@
 """A learning run goes out as an ONNX model and as a Minari data set that its own environment can be recovered from."""
 
+import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.learning import rundir
 from tests.support.short_run import published_on_a_circle
 
@@ -28,6 +31,28 @@ def test_both_in_one_command(run: Path, tmp_path: Path, monkeypatch: pytest.Monk
 def test_mistakes_are_named(run: Path, cli: Any) -> None:
     assert "give --onnx FILE or --minari NAME of a run" in cli("export", run, code=2).err
     assert "no run directory" in cli("export", "/", "--onnx", "p.onnx", code=2).err
+
+
+def test_an_agents_file_goes_out_as_onnx(tmp_path: Path, cli: Any) -> None:
+    net = Network(layers=((np.full((1, 6), -0.3), np.zeros(1)),), head="clip")
+    PolicyBlock(policy=net).save(tmp_path / "agent-0.npz")
+    done = cli("export", tmp_path / "agent-0.npz", "--onnx", tmp_path / "p.onnx", "--json").json["onnx"]
+    assert done["largest_difference"]["action"] <= 1e-12
+    assert (tmp_path / "p.onnx").stat().st_size > 500
+
+
+def test_what_onnx_cannot_hold_is_said_before_anything_else(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any
+) -> None:
+    """Of a policy as the default setting learns it; whether or not onnx is installed."""
+    policy = replace(rundir.final_policy(run), continuous=True)
+    monkeypatch.setattr(rundir, "final_policy", lambda _: policy)
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    said = cli("export", run, "--csv", tmp_path / "drive.csv", "--onnx", tmp_path / "p.onnx", code=2).err
+    assert "learn with --setting model-free or --with fit.dead_time=0 --with continuous=false" in said
+    assert not [*tmp_path.iterdir()]
+    monkeypatch.setattr(rundir, "final_policy", lambda _: replace(policy, continuous=False))
+    assert "needs onnx: pip install 'steerkit-control[export]'" in cli("export", run, "--onnx", "p.onnx", code=2).err
 
 
 @pytest.mark.parametrize("gap", [1e-3, float("nan")])

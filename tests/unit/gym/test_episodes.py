@@ -105,7 +105,7 @@ def test_what_is_no_number_any_more_is_told_with_the_car_and_the_signal() -> Non
 
 
 def test_arguments_are_checked() -> None:
-    with pytest.raises(ValueError, match=r"threads = 0, expected a number >= 1"):
+    with pytest.raises(ValueError, match=r"threads = 0, expected a whole number >= 1"):
         TrackSteeringVector(2, backend="c", threads=0)
     env = TrackSteeringVector(2, backend="c")
     with pytest.raises(gymnasium.error.ResetNeeded):

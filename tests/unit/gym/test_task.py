@@ -6,14 +6,17 @@ import gymnasium
 import numpy as np
 import pytest
 
+from steerkit._support import native
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram import maths as m
 from steerkit.diagram.units import radians_of
 from steerkit.gym import Task, TrackSteering
 from steerkit.learning.costs import IdoeCost
 from steerkit.scenario import Scenario
 
 ID = "steerkit/TrackSteering-v0"
+needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
 HOLD = IDOE_ACTIONS.index(0.0)
 
 
@@ -38,6 +41,29 @@ def test_the_reward_is_minus_the_cost_and_failure_ends_the_episode() -> None:
         env.unwrapped.step(HOLD)
 
 
+@pytest.mark.parametrize("backend", ["python", pytest.param("c", marks=needs_compiler)])
+def test_a_cost_and_an_observation_of_ones_own(backend: Any) -> None:
+    """The reward is minus that cost, of states in SI; the agent sees these columns, scaled by their ranges."""
+
+    def cost(s: Any, a: Any, s_next: Any) -> Any:
+        return s_next[:, 0] ** 2 + 0.1 * a**2 + 0.01 * m.absolute(s_next[:, 1]), m.absolute(s_next[:, 0]) > 0.4
+
+    ranges = {"e": (-0.5, 0.5), "kappa": (-0.1, 0.1), "v": (2.0, 10.0)}
+    env = TrackSteering(cost=cost, description=ranges, backend=backend)
+    assert env.observation_space.shape == (3,)
+    env.reset(seed=3)
+    for _ in range(100):
+        seen, reward, terminated, _, info = env.step(4)
+        kappa = 0.1 * seen[1]
+        assert seen[[0, 2]] == pytest.approx([info["e"] / 0.5, (info["v"] - 6.0) / 4.0], abs=1e-6)
+        if terminated:
+            break
+        expected = info["e"] ** 2 + 0.1 * IDOE_ACTIONS[4] ** 2 + 0.01 * abs(kappa)
+        assert reward == pytest.approx(-expected, abs=1e-8)
+    assert terminated
+    assert 0.4 < abs(info["e"]) < 0.6
+
+
 def test_options_choose_the_start() -> None:
     env = gymnasium.make(ID)
     observation, info = env.reset(seed=0, options={"s": 100.0, "e": -0.2, "psi_e": 0.0})
@@ -49,8 +75,11 @@ def test_options_choose_the_start() -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"action": "continuous"}, "option .'action'. is not known; valid: course, vehicle, conditions, scenario"),
-        ({"actions": "steps"}, "valid: i-doe, bang-bang, continuous, or angles"),
+        (
+            {"action": "continuous"},
+            r"option 'action' is not known .did you mean 'actions'\?.; valid: course, vehicle, conditions, scenario",
+        ),
+        ({"actions": "steps"}, "valid: i-doe, bang-bang, continuous, angles"),
         ({"actions": (0.1,)}, "at least two angles"),
         ({"doe": "filter"}, "valid: integrator, low-pass, plain"),
         ({"cost": "quadratic"}, "valid: smooth, paper"),
@@ -61,7 +90,7 @@ def test_options_choose_the_start() -> None:
         ({"course": "papr"}, "did you mean 'paper'"),
         (
             {"description": StateDescription(names=("e", "e_dot", "w", "psi_e", "r_e", "doe"))},
-            "'w' is no signal; valid",
+            "column 'w' is not known; valid: x, y",
         ),
     ],
 )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from steerkit._support import native
+from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
 from steerkit.gym import TrackSteeringVector
 from steerkit.paths.path import Path
@@ -40,6 +41,27 @@ def test_many_cars_are_the_single_ones_through_ends_and_starts(name: str, condit
     for single, many in zip(one_by_one, together):
         for a, b in zip(single, many):
             np.testing.assert_allclose(np.asarray(b, float), np.asarray(a, float), atol=1e-9)
+
+
+def test_without_a_compiler_the_error_names_the_other_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    for make in (lambda: gymnasium.make_vec(ID, 2), lambda: gymnasium.make(ID, backend="c")):
+        with pytest.raises(native.NoCompilerError, match=r"no C compiler found .*; or go without: backend='python'"):
+            make()
+
+
+@backends
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+@pytest.mark.parametrize("cars", [1, 3])
+def test_a_cost_that_is_no_number_any_more_is_named(cars: int, backend: Any) -> None:
+    def root(s: Any, a: Any, s_next: Any) -> Any:
+        return m.sqrt(0.02 - s_next[:, 0] * s_next[:, 0]), m.absolute(s_next[:, 0]) > 0.5
+
+    env = TrackSteeringVector(cars, backend=backend, cost=root, course="straight")
+    env.reset(seed=0)
+    left = np.full((100, cars), 4)
+    with pytest.raises(FloatingPointError, match=r"the cost of car \d is -?nan after \d+ steps"):
+        [env.step(action) for action in left]
 
 
 FAIL = np.full(2, 4)  # 60 degrees to the left until it fails

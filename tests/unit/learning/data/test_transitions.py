@@ -84,6 +84,18 @@ def test_saved_and_loaded_bit_for_bit(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["t.npz", "u.npz"]
 
 
+def test_a_data_frame_has_a_row_a_transition() -> None:
+    record = filled(30)
+    frame = record.to_pandas()
+    after = [f"next_{name}" for name in record.names]
+    assert [*frame.columns] == [*record.names, "a", *after, "episode", "own"]
+    np.testing.assert_array_equal(frame[[*record.names]], record.s)
+    np.testing.assert_array_equal(frame[after], record.s_next)
+    for name in ("a", "episode", "own"):
+        np.testing.assert_array_equal(frame[name], getattr(record, name))
+        assert frame[name].dtype == getattr(record, name).dtype
+
+
 def test_foreign_files_are_named(tmp_path: Path) -> None:
     file = tmp_path / "t.npz"
     np.savez(file, x=np.zeros(3))
