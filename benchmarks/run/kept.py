@@ -11,7 +11,7 @@ from typing import Any
 from benchmarks.run.sources import source
 from benchmarks.run.spread import Say, Workers
 from steerkit._support.errors import require
-from steerkit._support.files import append_line
+from steerkit._support.files import sync
 
 Row = Mapping[str, Any]
 """A job's fields, then those of what came of it, and `code`: a hash of the sources that it was made with."""
@@ -61,3 +61,16 @@ def done(
 def _name(job: Any) -> str:
     assert is_dataclass(job)
     return json.dumps([type(job).__name__, asdict(job)])  # type: ignore[arg-type]
+
+
+def append_line(file: Path, line: str) -> None:
+    """Add a line to a text file (UTF-8), and wait until the disk has it; a last line that is half written goes first.
+
+    For records that are kept one by one while a program runs that may be killed. The file is made where there is none.
+    """
+    with file.open("ab+") as out:
+        out.seek(0)
+        out.truncate(out.read().rfind(b"\n") + 1)
+        out.write(f"{line}\n".encode())
+        out.flush()
+        sync(out)

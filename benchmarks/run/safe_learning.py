@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.run.fleet import first_good
+from benchmarks.run.kept import append_line
 from benchmarks.run.sources import source
 from benchmarks.run.spread import Workers
 from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from steerkit._support.errors import require
-from steerkit._support.files import append_line
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
 from steerkit.metrics.signals import largest

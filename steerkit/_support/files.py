@@ -116,19 +116,6 @@ def write_rows(file: File, head: Iterable[str], columns: Sequence[NDArray[Any]])
     write_text(file, "\n".join([",".join(head), *(",".join(map(repr, row)) for row in rows), ""]))
 
 
-def append_line(file: File, line: str) -> None:
-    """Add a line to a text file (UTF-8), and wait until the disk has it; a last line that is half written goes first.
-
-    For records that are kept one by one while a program runs that may be killed. The file is made where there is none.
-    """
-    with FilePath(file).open("ab+") as out:
-        out.seek(0)
-        out.truncate(out.read().rfind(b"\n") + 1)
-        out.write(f"{line}\n".encode())
-        out.flush()
-        sync(out)
-
-
 _AS_CSV = "save its sheet as CSV (UTF-8)"
 _NO_TEXT = {
     b"PK\x03\x04": f"an Excel workbook or another ZIP archive; {_AS_CSV}",

@@ -62,8 +62,8 @@ class Network:
             return h.argmax(axis=0)
         return np.tanh(h[0]) if self.head == "tanh" else np.clip(h[0], -1.0, 1.0)
 
-    def symbolic(self, x: Sequence[Any]) -> Any:
-        """The action for one scaled state of scalars or symbols."""
+    def symbolic(self, x: Sequence[Any], actions: Sequence[float]) -> Any:
+        """The action for one scaled state of scalars or symbols: of a head argmax, one of `actions`."""
         h = list(x)
         for i, (w, b) in enumerate(self.layers):
             h = [sum((a * v for a, v in zip(row, h)), c) for row, c in zip(w.tolist(), b.tolist())]
@@ -71,11 +71,11 @@ class Network:
                 h = [m.maximum(v, 0.0) if self.activation == "relu" else m.tanh(v) for v in h]
         if self.head != "argmax":
             return m.tanh(h[0]) if self.head == "tanh" else m.clip(h[0], -1.0, 1.0)
-        best, number = h[0], 0.0
-        for i, v in enumerate(h[1:], start=1):
+        best, action = h[0], actions[0]
+        for v, a in zip(h[1:], actions[1:]):
             better = v > best
-            best, number = m.where(better, v, best), m.where(better, float(i), number)
-        return number
+            best, action = m.where(better, v, best), m.where(better, a, action)
+        return action
 
 
 def angles_of(answer: Any, n: int, actions: Sequence[float] | None, largest: float, where: str) -> Array:
@@ -122,6 +122,8 @@ class PolicyBlock(Policy):
         where = "PolicyBlock"
         other = [name for name in self.description.names if name not in COLUMNS]
         require(not other, where, f"description column {other[:1]} is no input; valid: {', '.join(COLUMNS)}")
+        chooses = isinstance(self.policy, Network) and self.policy.head == "argmax"
+        require(self.actions or not chooses, where, "a Network that chooses needs the actions [rad] it chooses from")
         if self.actions is not None:
             object.__setattr__(self, "actions", tuple(float(a) for a in self.actions))
             fits = len(self.actions) > 0 and bool(np.isfinite(self.actions).all())
@@ -137,12 +139,7 @@ class PolicyBlock(Policy):
             if not isinstance(self.policy, Network):
                 raise TypeError(f"policy {self.policy!r} is no Network: it cannot be traced, only run (simulate)")
             scaled = [m.clip((v - a) / b, -BOUND, BOUND) for v, a, b in zip(s, d.mid.tolist(), d.half.tolist())]
-            answer = self.policy.symbolic(scaled)
-            action = answer * self.largest
-            if self.actions is not None:
-                action = self.actions[0]
-                for number, angle in enumerate(self.actions[1:], start=1):
-                    action = m.where(answer > number - 0.5, angle, action)
+            action = self.policy.symbolic(scaled, self.actions or ()) * (1.0 if self.actions else self.largest)
             return self.Y(action=m.where(sound, action, nan), ready=1.0)
         rows = np.stack(np.broadcast_arrays(*s), axis=-1)
         shape = rows.shape[:-1]

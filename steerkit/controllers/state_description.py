@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -68,12 +69,12 @@ class StateDescription:
         given = {field.name: f[field.name].tolist() for field in fields(cls)}
         return cls(**given | {"action_scale": given["action_scale"] or None})
 
-    @property
+    @cached_property
     def mid(self) -> NDArray[np.float64]:
         """Centre of each range."""
         return 0.5 * (np.array(self.low) + np.array(self.high))
 
-    @property
+    @cached_property
     def half(self) -> NDArray[np.float64]:
         """Half-width of each range."""
         return 0.5 * (np.array(self.high) - np.array(self.low))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -57,9 +56,8 @@ def check_onnx(
     """
     d = block.description
     s = d.mid + d.half * np.random.default_rng(seed).uniform(-2.0, 2.0, (states, len(d.names)))
-    session = optional("onnxruntime", "check_onnx", "export").InferenceSession(
-        os.fspath(file), providers=["CPUExecutionProvider"]
-    )
+    runtime = optional("onnxruntime", "check_onnx", "export")
+    session = runtime.InferenceSession(os.fspath(file), providers=["CPUExecutionProvider"])
     kind = np.float32 if session.get_inputs()[0].type == "tensor(float)" else np.float64
     names = [output.name for output in session.get_outputs()]
     answers = dict(zip(names, session.run(names, {"state": s.astype(kind)})))
@@ -89,7 +87,7 @@ def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
     state, excess = "state", None
     if d.scaled_from < math.inf:  # see StateDescription.scaled
         v, e_dot, psi_e = (
-            graph.op("Gather", state, graph.whole([COLUMNS.index(name)]), axis=1) for name in ("v", "e_dot", "psi_e")
+            graph.op("Gather", state, graph.whole(COLUMNS.index(name)), axis=1) for name in ("v", "e_dot", "psi_e")
         )
         excess = graph.op("Max", graph.op("Div", v, graph.number(d.scaled_from)), graph.number(1.0))
         turning = graph.op("Sub", graph.op("Div", e_dot, graph.op("Max", v, graph.number(d.scaled_from))), psi_e)
@@ -102,7 +100,7 @@ def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
         (w, b), *following = zip(net[::2], net[1::2])
         action = np.outer(np.array(order) / d.scale_of(policy.actions), w[:, ACTION]) + b
         first = graph.op("MatMul", scaled, graph.number(w[:, :ACTION].T))
-        first = graph.op("Unsqueeze", first, graph.whole([1]))  # (N, 1, units), to be added to (actions, units)
+        first = graph.op("Unsqueeze", first, graph.whole(1))  # (N, 1, units), to be added to (actions, units)
         h = graph.op("Sigmoid", graph.op("Add", first, graph.number(action)))
         for w, b in following:
             h = graph.op("Sigmoid", graph.op("Add", graph.op("MatMul", h, graph.number(w.T)), graph.number(b)))
@@ -111,7 +109,7 @@ def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
     best = graph.op("ArgMin", q, axis=1, keepdims=0)
     chosen, lowest = graph.op("Gather", graph.number(order), best), graph.op("ReduceMin", q, axes=[1], keepdims=0)
     if excess is not None:
-        share = graph.op("Pow", graph.op("Squeeze", excess, graph.whole([1])), graph.number(-2.0))
+        share = graph.op("Pow", graph.op("Squeeze", excess, graph.whole(1)), graph.number(-2.0))
         chosen = graph.op("Mul", chosen, share)
     return chosen, lowest
 
@@ -123,7 +121,7 @@ def _combined(graph: _Graph, values: str, combine: str) -> str:
     mean = graph.op("ReduceMean", values, axes=[2], keepdims=0)
     if combine == "mean":
         return mean
-    gap = graph.op("Sub", values, graph.op("Unsqueeze", mean, graph.whole([2])))  # disagreement
+    gap = graph.op("Sub", values, graph.op("Unsqueeze", mean, graph.whole(2)))  # disagreement
     spread = graph.op("Sqrt", graph.op("ReduceMean", graph.op("Mul", gap, gap), axes=[2], keepdims=0))
     return graph.op("Add", mean, spread)
 
@@ -139,7 +137,7 @@ def _network(graph: _Graph, block: PolicyBlock) -> str:
             h = graph.op("Relu" if net.activation == "relu" else "Tanh", h)
     if net.head == "argmax":
         return graph.op("Gather", graph.number(block.actions or ()), graph.op("ArgMax", h, axis=1, keepdims=0))
-    h = graph.op("Squeeze", h, graph.whole([1]))
+    h = graph.op("Squeeze", h, graph.whole(1))
     h = graph.op("Tanh", h) if net.head == "tanh" else graph.op("Clip", h, graph.number(-1.0), graph.number(1.0))
     return graph.op("Mul", h, graph.number(block.largest))
 
@@ -153,18 +151,16 @@ class _Graph:
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
 
-    def number(self, value: Any) -> str:
-        """A constant of floating-point numbers."""
-        return self._constant(np.array(value, dtype=self.float))
-
-    def whole(self, value: Sequence[int]) -> str:
-        """A constant of whole numbers."""
-        return self._constant(np.array(value, dtype=np.int64))
-
-    def _constant(self, array: NDArray[Any]) -> str:
+    def number(self, value: Any, kind: Any = None) -> str:
+        """A constant of numbers, floating-point ones if not told otherwise."""
         name = f"c{len(self._constants)}"
+        array = np.array(value, dtype=kind or self.float)
         self._constants.append(self.onnx.numpy_helper.from_array(array, name))
         return name
+
+    def whole(self, *value: int) -> str:
+        """A constant of whole numbers."""
+        return self.number(value, np.int64)
 
     def op(self, kind: str, *inputs: str, **attributes: Any) -> str:
         """A node; returns the name of what it computes."""
@@ -176,7 +172,7 @@ class _Graph:
         """Write the model with these outputs, which are NaN where the state is not sound."""
         helper = self.onnx.helper
         kind = helper.np_dtype_to_tensor_dtype(np.dtype(self.float))
-        total = self.op("ReduceSum", "state", self.whole([1]), keepdims=0)
+        total = self.op("ReduceSum", "state", self.whole(1), keepdims=0)
         largest = 1e300 if self.float is np.float64 else 1e38
         sound = self.op("LessOrEqual", self.op("Abs", total), self.number(largest))
         written = {name: value for name, value in outputs.items() if value is not None}

@@ -42,7 +42,6 @@ class Drives:
     """N cars, each with its own start, noise and clock; `Episodes` is the same in C, and documents the fields."""
 
     def __init__(self, task: Task, cars: int, mode: AutoresetMode):
-        task.require_period()
         self.task, self.n, self._mode, self._loop = task, cars, mode, task.loop
         self._signals = [*task.columns, *task.info]
         self._at = [self._loop.locate(name) for name in self._signals]

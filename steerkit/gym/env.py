@@ -46,7 +46,7 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
         super().reset(seed=seed)
         self._cars.draw_from([self.np_random])
         self._cars.start(_CAR, [self.task.starts.draw(self.np_random, options)])
-        return self._observed(), self._info()
+        return self._cars.observation[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one sample; raises ResetNeeded after the end of an episode."""
@@ -57,7 +57,7 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
         cars = self._cars
         cars.step(self.task.angle(action, ()))
         judged = float(cars.reward[0]), bool(cars.terminated[0]), bool(cars.truncated[0])
-        return self._observed(), *judged, self._info()
+        return self._cars.observation[0].copy(), *judged, self._info()
 
     def render(self) -> Any:
         """The frame of this moment, (height, width, 3) uint8; None without a render_mode."""
@@ -65,9 +65,6 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
             gymnasium.logger.warn("TrackSteering.render: made without render_mode; make(..., render_mode='rgb_array')")
             return None
         return self._painter.frame()
-
-    def _observed(self) -> NDArray[np.float32]:
-        return self._cars.observation[0].copy()
 
     def _info(self) -> dict[str, Any]:
         info = {name: float(values[0]) for name, values in self._cars.infos().items()}

@@ -57,7 +57,6 @@ class Episodes:
         threads: int | None = None,
         observation: NDArray[np.float32] | None = None,
     ):
-        task.require_period()
         self.task, self.n, self._how = task, cars, ctypes.c_int(_HOW[mode])
         self._names = [name.split(".")[1] for name in task.info]
         self._signals = [*task.columns, *task.info]

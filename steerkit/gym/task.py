@@ -220,10 +220,9 @@ class Task:
         if isinstance(self.cost, Mapping):
             fields = dict(self.cost)
             kind = COST_KINDS[known(str(fields.pop("kind", None)), COST_KINDS, "TrackSteering: kind of cost")]
+            valid = [field.name for field in dataclasses.fields(kind)]
             for name in fields:
-                known(
-                    name, [field.name for field in dataclasses.fields(kind)], f"TrackSteering: field of {kind.__name__}"
-                )
+                known(name, valid, f"TrackSteering: field of {kind.__name__}")
             return kind(**fields)
         if callable(self.cost) and not isinstance(self.cost, type):
             return self.cost
@@ -241,7 +240,11 @@ class Task:
         """The loop with an `Agent` for a controller."""
         fields = self.safe if isinstance(self.safe, Mapping) else {}
         safety = None if self.safe is False else dataclasses.replace(make_safety(self.place.design_model()), **fields)
-        return assembled(self.place, Agent(dt=self.element.dt), doe=self.element, safety=safety)
+        loop = assembled(self.place, Agent(dt=self.element.dt), doe=self.element, safety=safety)
+        whole = round(self.element.dt / loop.dt) == loop.period
+        expected = f"expected none longer than the agent's, which is the output element's, {self.element.dt} s"
+        require(whole, "TrackSteering", f"sample times of {loop!r}, {expected}")
+        return loop
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
@@ -259,13 +262,7 @@ class Task:
     @property
     def dt(self) -> float:
         """Time between two decisions [s]."""
-        return self.loop.blocks["controller"].dt
-
-    def require_period(self) -> None:
-        """Raise ValueError unless the loop's period is the agent's sample time."""
-        whole = round(self.dt / self.loop.dt) == self.loop.period
-        expected = f"expected none longer than the agent's {self.dt} s"
-        require(whole, "TrackSteering", f"sample times of {self.loop!r}, {expected}")
+        return self.element.dt
 
     @cached_property
     def info(self) -> tuple[str, ...]:
@@ -292,18 +289,14 @@ class Task:
         """Box(-10, 10, (columns,)); most of what happens lies in [-1, 1]."""
         return spaces.Box(-BOUND, BOUND, (len(self.columns),), np.float32)
 
-    @cached_property
-    def _ranges(self) -> tuple[Array, Array]:
-        return self.description.mid, self.description.half
-
     def angle(self, actions: Any, shape: tuple[int, ...]) -> Array:
         """The actions [rad] (N,) that an agent's actions mean; raises ValueError for one outside of the space."""
         return angles_of(actions, math.prod(shape), self.angles, self.scale, "TrackSteering.step: action")
 
     def observation(self, s: Array) -> NDArray[np.float32]:
         """What the agent sees of states (N, columns)."""
-        mid, half = self._ranges
-        return np.minimum(np.maximum((s - mid) / half, -BOUND), BOUND).astype(np.float32)
+        d = self.description
+        return np.minimum(np.maximum((s - d.mid) / d.half, -BOUND), BOUND).astype(np.float32)
 
     @cached_property
     def starts(self) -> Starts:

@@ -37,6 +37,9 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
     A task with a cost or a scenario of your own that cannot be run on symbols is computed in Python, with a warning.
     """
 
+    _np_random: Any
+    _np_random_seed: Any
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -65,17 +68,7 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._cars = cars_of(self.task, num_envs, backend, self._mode, threads)
         self._painters = [Painter(self.task) for _ in range(num_envs)] if render_mode else []
-        self._seeded: list[tuple[np.random.Generator, int]] = []
-
-    @property  # type: ignore[misc]
-    def np_random(self) -> Any:
-        """The generators of the cars."""
-        return tuple(rng for rng, _ in self._generators())
-
-    @property
-    def np_random_seed(self) -> Any:
-        """The seeds they were made with."""
-        return tuple(seed for _, seed in self._generators())
+        self._np_random, self._np_random_seed = zip(*[seeding.np_random() for _ in range(num_envs)])
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -93,13 +86,13 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
             else [None if seed is None else seed + i for i in range(self.num_envs)]
         )
         require(len(seeds) == self.num_envs, "reset", f"{len(seeds)} seeds, expected {self.num_envs}, one a car")
-        generators = self._generators()
-        for i in np.flatnonzero(mask).tolist():
+        generators, known_seeds, cars = [*self._np_random], [*self._np_random_seed], np.flatnonzero(mask)
+        for i in cars.tolist():
             if seeds[i] is not None:
-                generators[i] = seeding.np_random(seeds[i])
-        self._cars.draw_from([rng for rng, _ in generators])
-        cars = np.flatnonzero(mask)
-        self._cars.start(cars, [self.task.starts.draw(generators[i][0], given) for i in cars.tolist()])
+                generators[i], known_seeds[i] = seeding.np_random(seeds[i])
+        self._np_random, self._np_random_seed = tuple(generators), tuple(known_seeds)
+        self._cars.draw_from(generators)
+        self._cars.start(cars, [self.task.starts.draw(generators[i], given) for i in cars.tolist()])
         infos = _masked(self._cars.infos(), mask)
         for i in cars.tolist() if self._painters else ():
             self._painters[i].add({name: values[i] for name, values in infos.items()})
@@ -108,7 +101,7 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
     def step(self, actions: Any) -> tuple[NDArray[np.float32], NDArray[Any], Flags, Flags, dict[str, Any]]:
         """Drive all cars one sample, and start those anew whose episode is over."""
         cars, stopped = self._cars, self._cars.over.copy()
-        if stopped.any() and (self._mode is not AutoresetMode.NEXT_STEP or not self._seeded):
+        if stopped.any() and self._mode is not AutoresetMode.NEXT_STEP:
             raise gymnasium.error.ResetNeeded(f"step: the episodes of cars {np.flatnonzero(stopped)} are over; reset()")
         cars.step(self.task.angle(actions, self.action_space.shape or ()))
         infos = _masked(self._cars.infos(), np.ones(self.num_envs, dtype=bool))
@@ -127,11 +120,6 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
     def render(self) -> Any:
         """A tuple of frames, one a car; None without a render_mode."""
         return tuple(painter.frame() for painter in self._painters) if self._painters else None
-
-    def _generators(self) -> list[tuple[np.random.Generator, int]]:
-        if not self._seeded:
-            self._seeded = [seeding.np_random(None) for _ in range(self.num_envs)]
-        return self._seeded
 
     def _observed(self) -> NDArray[np.float32]:
         return self._cars.observation.copy() if self._copy else self._cars.observation

@@ -177,6 +177,6 @@ def test_a_page_for_users_leads_from_a_wheel_to_its_last_line(
                 for file in now.needs:
                     if not (folder / file).exists():
                         make(file, folder, request.getfixturevalue("learned"))
-                faults.append(carried_out(now, shell))
+                faults.append(carried_out(now, shell) if now.possible else "")
     assert not any(faults), "\n\n".join(filter(None, faults))
     assert count <= MOST

@@ -5,6 +5,7 @@ import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from tests.support.places import ROOT, SUPPORT
@@ -54,7 +55,7 @@ class Step:
     run: str
     """The line as it is run, a shorter form where the one shown takes long."""
     package: str = ""
-    """One that not every environment has: where it is not installed, the line is left out."""
+    """One that not every environment has: see `possible`."""
     needs: tuple[str, ...] = ()
     """Files that have to be there: those that the text has the reader make."""
     files: tuple[str, ...] = ()
@@ -67,6 +68,11 @@ class Step:
     """Is nothing that stays needed after this line?"""
     code: int = 0
     """Exit code."""
+
+    @property
+    def possible(self) -> bool:
+        """Is the package installed that the line needs? Else it is left out, and what it would make is made."""
+        return not self.package or find_spec(self.package) is not None
 
 
 def step(shown: str, **changes: object) -> Step:

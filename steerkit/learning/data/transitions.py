@@ -113,10 +113,8 @@ class Transitions:
         Needs pandas (extra `bench`).
         """
         pandas = optional("pandas", "Transitions.to_pandas", "bench")
-        after = [f"next_{name}" for name in self.names]
-        frame: pd.DataFrame = pandas.DataFrame(
-            np.column_stack([self.s, self.a, self.s_next]), columns=[*self.names, "a", *after]
-        )
+        columns = [*self.names, "a", *(f"next_{name}" for name in self.names)]
+        frame: pd.DataFrame = pandas.DataFrame(np.column_stack([self.s, self.a, self.s_next]), columns=columns)
         return frame.assign(episode=self.episode, own=self.own)
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -211,15 +211,6 @@ def test_a_toml_file_is_read_or_refused_in_one_line(tmp_path: Path) -> None:
         files.read_toml(tmp_path / "c.toml", "test")
 
 
-def test_lines_are_added_and_half_a_line_goes(tmp_path: Path) -> None:
-    file = tmp_path / "lines"
-    files.append_line(file, "one")
-    with file.open("a") as stream:
-        stream.write("half of")
-    files.append_line(file, "zwei ä")
-    assert file.read_text(encoding="utf-8") == "one\nzwei ä\n"
-
-
 def test_a_bounded_file_gives_what_is_left_however_much_is_asked_for(tmp_path: Path) -> None:
     file = tmp_path / "short"
     file.write_bytes(b"0123456789")

@@ -133,4 +133,4 @@ def test_a_network_by_hand(activation: Any, hidden: Any) -> None:
     for head, last in (("tanh", np.tanh(z)), ("clip", np.clip(z, -1.0, 1.0))):
         net = Network(layers=layers, activation=activation, head=head)  # type: ignore[arg-type]
         np.testing.assert_allclose(net(x), last, atol=1e-12)
-        np.testing.assert_allclose([net.symbolic(row.tolist()) for row in x], last, atol=1e-12)
+        np.testing.assert_allclose([net.symbolic(row.tolist(), ()) for row in x], last, atol=1e-12)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.run.kept import done, stored
+from benchmarks.run.kept import append_line, done, stored
 
 
 @dataclass(frozen=True)
@@ -77,3 +77,12 @@ def test_another_file_is_refused(line: str, tmp_path: Path) -> None:
     file.write_text('{"job": "x", "row": {}}\n' + line + "\n")
     with pytest.raises(ValueError, match=r"line 2.*expected the result of a study"):
         stored(file)
+
+
+def test_lines_are_added_and_half_a_line_goes(tmp_path: Path) -> None:
+    file = tmp_path / "lines"
+    append_line(file, "one")
+    with file.open("a") as stream:
+        stream.write("half of")
+    append_line(file, "zwei ä")
+    assert file.read_text(encoding="utf-8") == "one\nzwei ä\n"
