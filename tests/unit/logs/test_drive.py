@@ -371,3 +371,19 @@ def test_a_speed_sensor_that_wakes_up_is_no_change_of_unit(clean: dict[str, Any]
         np.arange(len(woken["v"])) < 100, np.where(np.arange(len(woken["v"])) < 50, 0.3, 1.08), woken["v"]
     )
     assert len(Drive.of(woken).v) == len(Drive.of(by_rate(clean)).v)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005, 0.02, 0.05])
+@pytest.mark.parametrize("scale", [0.94, 1.0])
+def test_a_heading_with_noise_still_shows_the_gyros_scale(noise: float, scale: float) -> None:
+    """Its slope over a short time would be mostly noise: with 0.02 rad that gave 0.71 for 0.94, and a refusal."""
+    rng, t = np.random.default_rng(0), np.arange(0.0, 300.0, 0.01)
+    kappa = 0.02 * np.sin(2.0 * np.pi * t / 25.0) + 0.01 * np.sin(2.0 * np.pi * t / 11.0)
+    v, r = np.full(len(t), 8.0), 8.0 * kappa
+    gyro = scale * r + 0.01 + 0.002 * rng.normal(size=len(t))
+    psi = np.cumsum(r) * 0.01 + noise * rng.normal(size=len(t))
+    drive = Drive.of({"t": t, "delta_sw": 15.6 * 2.8 * kappa, "v": v, "r": gyro, "psi": psi})
+    gain, zero = np.polyfit(r, drive.r, 1)
+    assert gain == pytest.approx(1.0, abs=0.02)
+    assert zero == pytest.approx(0.0, abs=2e-4)
+    assert any("gyro's scale" in note for note in drive.notes) == (scale != 1.0)
