@@ -279,3 +279,16 @@ def test_the_identified_loop_drives_as_the_car_that_was_recorded(found: Identifi
     rate = simulate(loop, 40.0)["car.r"]
     error = (rate - truth["r"])[100:]
     assert np.sqrt(np.mean(error**2)) < 0.003
+
+
+def test_a_fit_at_its_bound_and_thirds_that_contradict_are_told() -> None:
+    values, small = {n: p.mean for n, p in PRIORS.items()}, np.diag([(0.1 * p.deviation) ** 2 for p in PRIORS.values()])
+    one = problem(**PRIORS)
+    estimates = one.estimates(values, small, 11, [])
+    fine = " ".join(one.notes(values, small, estimates))
+    assert "at a bound" not in fine
+    assert "contradict" not in fine
+    told = " ".join(one.notes(values | {"d_r": PRIORS["d_r"].high}, small, estimates))
+    assert " d_r at a bound: the model does not fit; check columns, clocks, --wheelbase" in f" {told}"
+    unsteady = tuple(replace(e, steady=e.name != "offset") for e in estimates)
+    assert "offset: thirds of the log contradict each other" in " ".join(one.notes(values, small, unsteady))

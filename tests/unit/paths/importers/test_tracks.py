@@ -227,6 +227,15 @@ def test_a_wrong_position_is_refused_or_left_out(by: tuple[float, float], timed:
             laid(line, **told)
 
 
+def test_a_jump_after_which_the_way_goes_on_is_no_wrong_position() -> None:
+    """The points before and after it would be just as far apart without it."""
+    xy, t = track(36.0)
+    xy[14] += (250.0, 0.0)
+    xy[15:] += (250.0, 0.0)
+    _, notes = cleaned(xy, t, nothing(t), 0.5, "lap")
+    assert not any("wrong position" in note for note in notes)
+
+
 def test_of_two_drives_in_one_track_the_longer_one_is_taken() -> None:
     xy, t = track(36.0)
     t[20:] -= 15.0
