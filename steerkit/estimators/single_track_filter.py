@@ -15,7 +15,7 @@ from steerkit.diagram.units import radians_of
 from steerkit.estimators import kalman
 from steerkit.estimators.estimate import estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, arrived, steady_gain, yaw_step
-from steerkit.vehicles import Vehicle, require_vehicle
+from steerkit.vehicles import G, Vehicle, require_vehicle
 
 _STANDS, _STANDING = 0.1, 1.0
 """A car stands below this speed [m/s], after that long [s]."""
@@ -25,8 +25,8 @@ _OUTLIER = 3.0
 """Standard deviations beyond which a sample counts for less."""
 _GAP = radians_of(1.0)
 """Half of the free play whose loop is a number of the filter [rad]."""
-_SOFT = 2e-4
-"""Deviation of the understeer gradient for tyres that give way in tight bends [rad s^2/m]."""
+_SOFT, _SATURATES = 2e-4, 5e-4
+"""Deviations of the understeer gradient for tyres that give way in tight bends, and much sooner [rad s^2/m]."""
 _CORRELATED = 0.15
 """For how long the errors of r hang together [s]."""
 _ANGLE_ERROR = radians_of(0.3)
@@ -73,7 +73,8 @@ class SingleTrackFilter(Block):
     offset_deviation, disturbance, disturbance_deviation, total_offset, total_offset_deviation [rad], rate_zero,
     rate_zero_deviation [rad/s]; ratio_valid, understeer_valid, offset_valid, disturbance_valid, total_offset_valid,
     rate_zero_valid [1]: the deviation is at most 3 %, a quarter of the prior's, 0.25 degrees, half of its own, 0.35
-    degrees, 0.001 rad/s; missing [1], 1 if a number of the last sample but psi was.
+    degrees, 0.001 rad/s, before it is widened by what driving cannot show (`gyro_scale`, `bank`, tyres that saturate);
+    missing [1], 1 if a number of the last sample but psi was.
     A sample is used where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
     State: filters, a delay line, the six numbers, P's upper triangle. Raises ValueError for parameters out of range.
 
@@ -115,6 +116,10 @@ class SingleTrackFilter(Block):
     """Share of a free play of 2 degrees that is expected between angle and road wheels, with friction's loop [1]."""
     play_prior: float = number(0.5, "1", low=1e-4, high=2.0)
     """Its standard deviation [1]."""
+    gyro_scale: float = number(0.05, "1", low=0.0, high=0.5)
+    """Standard deviation of the gyro's scale, which looks like another ratio [1]."""
+    bank: float = number(0.03, "rad", low=0.0, high=0.5)
+    """That of a bank that lasts, which looks like another offset [rad]."""
     memory: float = number(50_000.0, "s", low=1.0, high=1e6)
     """Time of driving after which what was learned of ratio, understeer and play counts for 1/e [s]."""
     zero_memory: float = number(500_000.0, "s", low=1.0, high=1e6)
@@ -161,17 +166,18 @@ class SingleTrackFilter(Block):
         variances = self._variances
         total = (_OFFSET, _DISTURBANCE)
         deviations = [m.sqrt(row[0]) for row in p]
+        bends = m.sqrt(understeer * understeer + p[1][0] + _SATURATES**2)
         found = (
-            (1.0 / g, deviations[0] / (g * g), 0.03),
-            (understeer, m.sqrt(p[1][0] + _SOFT**2), 0.25 * math.sqrt(variances[1])),
-            (offset, deviations[2], radians_of(0.25)),
-            (zero, deviations[3], 0.001),
-            (disturbance, deviations[4], 0.5 * math.sqrt(variances[4])),
-            (offset + disturbance, m.sqrt(m.maximum(kalman.covariance(p, total, total), 0.0)), radians_of(0.35)),
+            (1.0 / g, deviations[0] / (g * g), 0.03, self.gyro_scale / g),
+            (understeer, m.sqrt(p[1][0] + _SOFT**2), 0.25 * math.sqrt(variances[1]), _SATURATES),
+            (offset, deviations[2], radians_of(0.25), self.bank * G * self.vehicle.steer_ratio * bends),
+            (zero, deviations[3], 0.001, 0.0),
+            (disturbance, deviations[4], 0.5 * math.sqrt(variances[4]), 0.0),
+            (offset + disturbance, m.sqrt(m.maximum(kalman.covariance(p, total, total), 0.0)), radians_of(0.35), 0.0),
         )
         flat: list[Scalar] = []
-        for value, deviation, most in found:
-            flat += [value, deviation, m.where(deviation <= most, 1.0, 0.0)]
+        for value, deviation, most, untold in found:
+            flat += [value, m.sqrt(deviation * deviation + untold * untold), m.where(deviation <= most, 1.0, 0.0)]
         return self.Y(*flat, x[2])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:

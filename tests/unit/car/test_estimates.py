@@ -55,7 +55,9 @@ def test_the_truth_is_in_the_intervals(calibration: Made) -> None:
     assert "understeer" not in known, "it cannot be found below 15 m/s"
     assert found["delay_lag"].high - found["delay_lag"].low < 0.03
     assert found["lag"].value == pytest.approx(LAG, abs=0.02), "half of it again would be beyond one prior's reach"
-    assert found["steer_ratio"].high - found["steer_ratio"].low < 1.2
+    assert found["steer_ratio"].high - found["steer_ratio"].low < 3.6, (
+        "mostly that of a gyro whose scale may be 5 % off"
+    )
 
 
 def test_a_samples_motion_goes_with_the_next_ones_wheel_and_command(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -104,6 +104,7 @@ def test_a_sample_that_cannot_be_read_is_reported(name: str, port: str) -> None:
         (WheelDelay, dict(prior_delay=0.9), r"prior_delay = 0.9 \[s\], expected 0 to 0.75"),
         (YawDelay, dict(vehicle="vw-passat"), "YawDelay: .*expected a Vehicle"),
         (SteeringFriction, dict(dt=0.2), r"dt = 0.2 \[s\], expected 0.001 to 0.15"),
+        (YawDelay, dict(vehicle=PASSAT, earliest=0.1), r"-earliest = -0.1 \[s\], expected 0 to"),
         (SingleTrackFilter, dict(vehicle="vw-passat"), "expected a Vehicle"),
         (SingleTrackFilter, dict(vehicle=PASSAT, dt=0.5), r"dt = 0.5 \[s\], expected 0.001 to 0.15"),
         (SingleTrackFilter, dict(vehicle=PASSAT, longest=0.52), r"longest = 0.52 \[s\], expected a multiple of dt"),

@@ -12,7 +12,8 @@ from steerkit.estimators.estimate import Estimated, estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, quantities, steered
 
-BLOCK = SingleTrackFilter(vehicle=PASSAT)
+BLOCK = SingleTrackFilter(vehicle=PASSAT, gyro_scale=0.0, bank=0.0)
+"""Of a gyro that is right, on level roads."""
 OTHER = replace(PASSAT, steer_ratio=1.2 * PASSAT.steer_ratio)
 
 
@@ -47,6 +48,18 @@ def test_ratio_offset_and_zero_are_found_within_a_minute() -> None:
     assert got["ratio"].value == pytest.approx(1.2, rel=0.02)
     assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.3))
     assert got["understeer"].valid == got["disturbance"].valid == 0.0  # too slow, no bank: neither is observable
+
+
+def test_what_a_gyros_scale_and_a_bank_make_of_ratio_and_offset_is_in_their_intervals() -> None:
+    signals = sensed(drive(120.0))
+    aside = 9.81 * 0.03 * PASSAT.understeer_gradient * OTHER.steer_ratio  # of the wheel, on a bank of 0.03
+    x = driven_fast(BLOCK, signals | {"r": 1.06 * signals["r"], "delta_sw": signals["delta_sw"] - aside})
+    wide = SingleTrackFilter(vehicle=PASSAT).output(0.0, x, ())
+    for name, truth in (("ratio", 1.2), ("offset", radians_of(3.0))):
+        blind, honest = found(x)[name], estimated(wide, name)
+        assert not blind.low <= truth <= blind.high
+        assert honest.low <= truth <= honest.high
+        assert honest.valid == blind.valid == 1.0
 
 
 def test_the_understeer_gradient_is_found_at_speed() -> None:
