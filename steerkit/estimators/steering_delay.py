@@ -74,7 +74,7 @@ class DelayBank(Bank):
     deviations grow by that.
 
     A sample is used where all is finite, v is 3 m/s or more, and the commands have acted for longest - earliest +
-    4 L0 + 0.3 s: `active` was 1, |delta_sw_cmd| at most the stop, no faster than `rate_limit`. Else nothing changes or is forgotten.
+    4 L0 + 0.3 s: `active` was 1, |delta_sw_cmd| at most the stop, no faster than `rate_limit`. Else nothing changes.
 
     Outputs, of state only: delay, delay_deviation, lag, lag_deviation, and of their sum delay_lag, delay_lag_deviation
     [s]; delay_valid, lag_valid, delay_lag_valid [1]; missing [1]: 1 where the last sample held a NaN. The sum is known
