@@ -73,16 +73,24 @@ def identify(
     with console.status("reading and fitting", spinner="line") if not quiet else contextlib.nullcontext():
         drive = ident.read_drive(log, given, **how)
         identified = ident.identify(drive, car, fixed=_fixed(fix or ()), name=called)
-        prediction = identified.predict(ident.read_drive(held_out, given, **how)) if held_out else None
+        prediction, agrees = None, ""
+        if held_out:
+            other = ident.read_drive(held_out, given, **how)
+            prediction = identified.predict(other)
+            if other.turns:
+                agrees = identified.against(ident.identify(other, car, fixed=_fixed(fix or ())))
     command = " ".join(["steerkit", *sys.argv[1:]])
     _report(console, identified, prediction, quiet=quiet)
+    if agrees:
+        console.print(escape(agrees), highlight=False, soft_wrap=True)
     if out is not None:
         identified.save(out, command=command, held_out=prediction)
         console.print(f"vehicle file: {out}", soft_wrap=True)
     elif not as_json:
         print(identified.text(command=command, held_out=prediction), end="")
     if report is not None:
-        verdict, figures = identified.verdict(prediction), [identified.plot(prediction)]
+        verdict = [*identified.verdict(prediction), *filter(None, [agrees])]
+        figures = [identified.plot(prediction)]
         write_page(report, console, f"{identified.vehicle.name}, identified", verdict, figures)
         console.print(f"report: {report}", soft_wrap=True)
     if plot is not None:
@@ -94,7 +102,7 @@ def identify(
             "vehicle": identified.vehicle.name,
             "estimates": identified.intervals,
             "correlation_time": identified.correlation_time,
-            "notes": [*identified.drive.notes, *identified.notes],
+            "notes": [*identified.drive.notes, *identified.notes, *filter(None, [agrees])],
         }
         for word, fit in fits.items():
             answer[word] = {"drive": fit.drive.name} | {key: getattr(fit, key) for key in _FITS}

@@ -197,6 +197,18 @@ class Identified:
         require(str(file).endswith(".toml"), "Identified.save", f"{file}: a vehicle file ends in .toml")
         write_text(file, self.text(command=command, held_out=held_out))
 
+    def against(self, other: Identified) -> str:
+        """Whether another drive of the same car agrees: ratio, understeer gradient and delay, by their intervals."""
+        apart = []
+        for name in ("ratio_wheelbase", "understeer_gradient", "delay_lag"):
+            one, two = self[name], other[name]
+            if abs(one.value - two.value) > math.hypot(one.high - one.low, two.high - two.low) / 2.0:
+                spans = (f"{e.value:.4g} [{e.low:.4g}, {e.high:.4g}]" for e in (one, two))
+                apart.append(f"{name} is {' and '.join(spans)} {one.unit}")
+        if apart:
+            return f"The two drives contradict each other: {'; '.join(apart)}: banked, or another load or car?"
+        return "The two drives agree in ratio, understeer gradient and delay, within their intervals."
+
     def verdict(self, held_out: Prediction | None = None) -> list[str]:
         """What a person would say of it: what the log determines and what it does not, and how well that predicts."""
         found = {"log": list[str](), "prior": list[str]()}

@@ -276,7 +276,8 @@ class Drive:
         require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
         if not trusted:
             _check_plausible(drive)
-        return drive if drive.turns else replace(drive, notes=(*drive.notes, _STRAIGHT))
+        more = [_late(drive)] if drive.turns else [_STRAIGHT]
+        return replace(drive, notes=(*drive.notes, *filter(None, more)))
 
 
 def _keep(columns: dict[str, Array], rows: Any) -> None:
@@ -316,7 +317,11 @@ def _whole_rows(columns: dict[str, Array], name: str, remarks: list[str]) -> dic
                 "two recordings: they lie one after the other in this file; split it there"
             )
         _keep(columns, order)
-        remarks.append(f"sorted by time: {back} times a row was earlier than the one before")
+        reverse = back > 0.9 * (len(t) - 1)
+        how = (
+            "turned round, as its time falls from row to row" if reverse else f"sorted by time: {back} times a row was"
+        )
+        remarks.append(how if reverse else f"{how} earlier than the one before")
     new = np.concatenate(([True], np.diff(columns["t"]) > 0.0))
     if not new.all():
         _keep(columns, new)
@@ -502,6 +507,34 @@ def _check_plausible(drive: Drive) -> None:
     raise ValueError(
         f"{drive.name}: delta_sw/curvature is {slope:.4g} m, a road car has {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} m "
         f"(steering ratio times wheelbase){likely}. To go on as it is: trusted=True (identify: --trust-units)"
+    )
+
+
+LATEST, EARLIEST = 0.7, -0.3
+"""By how much a yaw rate may follow the steering [s]: more is of no car, but of its clock."""
+_SOUGHT = 3.0
+"""Lags up to this are looked for [s]."""
+
+
+def _late(drive: Drive) -> str:
+    """Whether the yaw rate is late against the steering, or early, by more than a car can be: what to do; else "".
+
+    By the correlation of r with v delta_sw over the drive, shifted against each other.
+    """
+    some = slice(None, None, max(1, round(0.05 / drive.dt)))  # a long drive is not in memory several times
+    use, dt = drive.driving[some], drive.dt * (some.step or 1)
+    steered, turned = drive.v[some] * drive.delta_sw[some], drive.r[some]
+    steered, turned = (np.where(use, a - a[use].mean(), 0.0) for a in (steered, turned))
+    n = min(round(_SOUGHT / dt), len(use) // 4)
+    together = scipy.signal.correlate(turned, steered, "full", "fft")[len(use) - 1 - n : len(use) + n]
+    lag, most = (int(np.argmax(np.abs(together))) - n) * dt, float(np.abs(together).max())
+    inside = EARLIEST <= lag <= LATEST or abs(abs(lag) - n * dt) < 1.5 * dt
+    if inside or most < 1.02 * abs(float(together[n])):
+        return ""
+    word = f"{lag:.2f} s after" if lag > 0.0 else f"{-lag:.2f} s before"
+    return (
+        f"the yaw rate comes {word} the steering, as far as they are alike: of two clocks? shift its times by "
+        f"{-lag:+.2f} s in the log, or leave it out where there is a heading"
     )
 
 

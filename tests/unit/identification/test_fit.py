@@ -292,3 +292,12 @@ def test_a_fit_at_its_bound_and_thirds_that_contradict_are_told() -> None:
     assert " d_r at a bound: the model does not fit; check columns, clocks, --wheelbase" in f" {told}"
     unsteady = tuple(replace(e, steady=e.name != "offset") for e in estimates)
     assert "offset: thirds of the log contradict each other" in " ".join(one.notes(values, small, unsteady))
+
+
+def test_two_drives_of_one_car_agree_and_of_another_ratio_do_not(clean: Any) -> None:
+    one, other = (identify(Drive.of(noisy(clean, seed)), BASE) for seed in (0, 1))
+    assert one.against(other).startswith("The two drives agree")
+    columns = noisy(clean, 2)
+    columns["delta_sw"] = 1.3 * columns["delta_sw"]
+    said = one.against(identify(Drive.of(columns), BASE))
+    assert said.startswith("The two drives contradict each other: ratio_wheelbase is ")

@@ -387,3 +387,24 @@ def test_a_heading_with_noise_still_shows_the_gyros_scale(noise: float, scale: f
     assert gain == pytest.approx(1.0, abs=0.02)
     assert zero == pytest.approx(0.0, abs=2e-4)
     assert any("gyro's scale" in note for note in drive.notes) == (scale != 1.0)
+
+
+@pytest.mark.parametrize("late", [-1.0, -0.1, 0.0, 0.4, 0.9, 1.5])
+def test_a_yaw_rate_of_another_clock_is_told(late: float, clean: dict[str, Any]) -> None:
+    columns = by_rate(noisy(clean, 0))
+    columns["r"] = np.interp(columns["t"] - late, columns["t"], columns["r"])
+    told = [note for note in Drive.of(columns, trusted=True).notes if "comes" in note]
+    if -0.3 <= late <= 0.6:
+        assert not told
+    else:
+        (note,) = told
+        found = float(note.split("comes ")[1].split(" s ")[0]) * (1.0 if " after " in note else -1.0)
+        assert found == pytest.approx(late + 0.15, abs=0.2)  # the car's own delay and lag are in it
+        assert "shift its times by" in note
+
+
+def test_a_drive_whose_time_falls_is_turned_round_and_says_so(clean: dict[str, Any]) -> None:
+    drive = Drive.of(clean)
+    turned = Drive.of({key: value[::-1] for key, value in clean.items()})
+    assert any("turned round, as its time falls from row to row" in note for note in turned.notes)
+    np.testing.assert_array_equal(turned.r, drive.r)
