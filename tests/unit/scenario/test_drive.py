@@ -10,7 +10,7 @@ from steerkit.diagram.simulation import Log
 from steerkit.learning.learner_state import untrained
 from steerkit.learning.settings import DEFAULT
 from steerkit.scenario import Scenario
-from steerkit.scenario.drive import comparison, controller, drive, drive_loop, held_all_along, row_of
+from steerkit.scenario.drive import SignCheck, comparison, controller, drive, drive_loop, held_all_along, row_of
 
 
 def log_of(e: Any, learning: Any = None) -> Log:
@@ -92,3 +92,29 @@ def test_a_car_that_swings_is_not_taken_for_one_that_turns_the_other_way(told: f
     )
     log = drive(scenario, controller("stanley", scenario), seed=3, rounds=0.1)
     assert abs(log["path.e"]).max() > 2.0
+
+
+@pytest.mark.parametrize("begins", [0.0, 17.0])
+def test_where_a_run_goes_on_the_answer_to_commands_from_before_is_no_wrong_sign(begins: float) -> None:
+    """The wheel still turns left under commands that nobody has seen, while the new ones ask for the right."""
+    scenario = Scenario(course="circle")
+    check = SignCheck(scenario, drive_loop(scenario, controller("stanley", scenario)), 0.05)
+
+    class Now(dict[str, float]):
+        t = 0.0
+
+        def __missing__(self, name: str) -> float:
+            return self["wheel"] if "actuator" in name else self["command"]
+
+    def drive_on() -> None:
+        for k in range(30):
+            wheel = 2.0 * math.sin(0.2 * k)
+            now = Now(command=-wheel - 0.1, wheel=wheel, **{"car.v": 6.0, "car.r": 0.1 * wheel, "car.psi": 0.0})
+            now.t = begins + 0.05 * k
+            check.look(now)  # type: ignore[arg-type]
+
+    if begins:
+        drive_on()
+    else:
+        with pytest.raises(ValueError, match="steered the wrong way round"):
+            drive_on()
