@@ -1,8 +1,7 @@
-"""Does a steering law hold on a car that is not quite as believed? Poles and margins of its loop at a steady speed."""
+"""Does a steering law hold on a car that is not quite as believed? The damping of its loop at a steady speed."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -19,7 +18,6 @@ from steerkit.vehicles import Vehicle
 Array = NDArray[np.float64]
 _SEEN = ("e", "e_dot", "psi_e", "beta", "r", "delta_sw_meas")
 _SMALL = 1e-5  # m, rad, ...: step of the differences; no limit of a law acts that close to a straight path
-_STEPS = 400  # frequencies
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,17 +31,6 @@ class Doubt:
 
     def __post_init__(self) -> None:
         check_numbers(self, "Doubt")
-
-
-class Margins(NamedTuple):
-    """What a loop that holds may change by until it swings: factor on its gain [1], phase [rad], delay [s].
-
-    1, 0 and 0 for one that does not hold; infinite where nothing of that kind makes it swing.
-    """
-
-    gain: float
-    phase: float
-    delay: float
 
 
 class Law(NamedTuple):
@@ -144,29 +131,3 @@ def least_damping(block: Block, car: SteeredCar, doubt: Doubt, speeds: Sequence[
     """The least `damping` of a controller on the cars at the corners of a doubt about `car`, at those speeds [m/s]."""
     laws = [(v, linearised(block, v)) for v in speeds]
     return min(damping(law, corner, v, block.dt) for v, law in laws for corner in car.corners(doubt))
-
-
-def margins(law: Law, car: SteeredCar, v: float, dt: float) -> Margins:
-    """Margins of the loop at v [m/s], opened at the command.
-
-    L(z) = -(C (z - A)^-1 B + D) G(z), G the car from command to what the law sees. gain = 1/|L| above 1 where L is real
-    and negative; phase = |pi + arg L| and delay = ((pi + arg L) mod 2 pi)/w where |L| = 1. Source: Astrom, Murray 2021,
-    section 10.3.
-    """
-    if damping(law, car, v, dt) <= 0.0:
-        return Margins(1.0, 0.0, 0.0)
-    w = np.geomspace(1e-2, math.pi / dt * (1.0 - 1e-9), _STEPS)
-    z = np.exp(1j * w * dt)[:, None, None]
-    a, b, rows = car.system(v, dt)
-    seen = np.array([rows[name] for name in law.inputs]) @ np.linalg.solve(z * np.eye(len(a)) - a, b[:, None])
-    inner = np.linalg.solve(z * np.eye(len(law.a)) - law.a, law.b @ seen)
-    opened = -(law.c @ inner + law.d @ seen)[:, 0]
-    size, phase = np.abs(opened), np.angle(-opened)
-    at = np.flatnonzero(np.diff(np.sign(size - 1.0)))
-    turns = np.flatnonzero((np.diff(np.sign(opened.imag)) != 0.0) & (opened.real[1:] < 0.0))
-    gains = [1.0 / size[i] for i in (*turns, *([_STEPS - 1] if opened.real[-1] < 0.0 else [])) if size[i] < 1.0]
-    return Margins(
-        min(gains, default=math.inf),
-        min(np.abs(phase[at]), default=math.inf),
-        min(phase[at] % (2.0 * math.pi) / w[at], default=math.inf),
-    )
