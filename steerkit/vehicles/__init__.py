@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import re
 
 from steerkit.vehicles.file import text_of, vehicle_of
-from steerkit.vehicles.fleet import FleetCar, drawn_car, drawn_number, fleet
+from steerkit.vehicles.fleet import FleetCar, drawn_car, fleet
 from steerkit.vehicles.parameters import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, G, Vehicle, require_vehicle, scaled
 
 __all__ = [
@@ -37,9 +38,8 @@ def vehicle(name: str) -> Vehicle:
     key = name.strip().lower().replace("_", "-").replace(" ", "-")
     if key in VEHICLES:
         return VEHICLES[key]
-    number = drawn_number(key)
-    if number is not None:
-        return drawn_car(number).vehicle
+    if drawn := re.fullmatch(r"fleet-(\d{1,18})", key):
+        return drawn_car(int(drawn[1])).vehicle
     if key not in fleet():
         near = difflib.get_close_matches(key, [*VEHICLES, *fleet()], n=1, cutoff=0.4)
         hint = f" (did you mean '{near[0]}'?)" if near else ""

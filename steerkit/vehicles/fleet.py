@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -53,12 +52,6 @@ def drawn_car(number: int) -> FleetCar:
     u, _ = uniform(seed_state(number, stream=_STREAM))
     cars = list(fleet().values())
     return cars[int(u * len(cars))]
-
-
-def drawn_number(name: str) -> int | None:
-    """17 of `fleet-17`; None for a name that is not of that form."""
-    match = re.fullmatch(r"fleet-(\d{1,18})", name)
-    return int(match[1]) if match else None
 
 
 def _car(row: dict[str, str]) -> FleetCar:
