@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import operator
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy, check_layers
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import In, Out, State
+from steerkit.diagram.block import In, Out, State, without_port
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
 
@@ -104,7 +105,7 @@ class NfqPolicy(Policy):
         valid = self.preview_points == ahead.PREVIEW or (self.preview_points == 0 and self.forecast is None)
         require(valid, where, points)
         if not self.preview_points:
-            without_preview(self)
+            without_port(self, "preview")
 
     @functools.cached_property
     def _order(self) -> tuple[float, ...]:
@@ -126,7 +127,8 @@ class NfqPolicy(Policy):
         of_action = offset[:, None] + np.outer(first[:, ACTION], np.array(self._order) / scale)
         layers = []
         for i in range(2, len(nets[0]), 2):
-            w = _block_diagonal([net[i] for net in nets])
+            each = np.array([net[i] for net in nets])
+            w = (np.eye(len(nets))[:, None, :, None] * each[:, :, None, :]).reshape(len(nets) * each.shape[1], -1)
             d = 0.5 * (np.concatenate([net[i + 1] for net in nets]) + 0.5 * w.sum(axis=1))
             layers.append((0.25 * w, d[:, None]))
         return of_state, of_action, layers
@@ -220,7 +222,7 @@ class NfqPolicy(Policy):
             h = [m.tanh(a + b) for a, b in zip(z, offsets, strict=True)]
             for w, d in layers:
                 h = [m.tanh(_dot(row, h) + c) for row, (c,) in zip(w.tolist(), d.tolist(), strict=True)]
-            values.append(0.5 + 0.5 * _combined_symbols(h, self.combine))
+            values.append(0.5 + 0.5 * combined(h, self.combine))
         return self.least(values)
 
     def least(self, values: Sequence[Any]) -> tuple[Any, Any]:
@@ -355,12 +357,6 @@ def _forecast_in(f: Any) -> DelayCompensator | None:
     return found
 
 
-def without_preview(block: Policy) -> None:
-    """Take the input `preview` from a policy that looks at no path, so that a loop needs no wire to it."""
-    for name in ("inputs", "U", "D"):
-        object.__setattr__(block, name, getattr(Policy, name))
-
-
 def check_net(net: Net, n_in: int, where: str) -> None:
     """Raise ValueError unless `net` is W, b, W, b, ... from n_in inputs to one unit, all finite."""
     require(len(net) >= 2 and len(net) % 2 == 0, where, f"a net of {len(net)} arrays, expected W, b of each layer")
@@ -368,25 +364,16 @@ def check_net(net: Net, n_in: int, where: str) -> None:
     require(n == 1, where, f"the last layer has {n} units, expected 1")
 
 
-def combined(values: NDArray[Any], combine: str) -> NDArray[Any]:
-    """The values of the nets (nets, ...) as one (...): see `COMBINATIONS`."""
-    if combine == "max":
-        return values.max(axis=0)
-    mean = np.add.reduce(values) / len(values)
-    return mean if combine == "mean" else mean + np.sqrt(np.add.reduce((values - mean) ** 2) / len(values))
-
-
-def _combined_symbols(h: list[Any], combine: str) -> Any:
-    total = h[0]
-    for other in h[1:]:
-        total = m.maximum(total, other) if combine == "max" else total + other
+def combined(values: Any, combine: str) -> Any:
+    """The values of the nets (nets, ...), of arrays or of symbols, as one (...): see `COMBINATIONS`."""
+    total = functools.reduce(m.maximum if combine == "max" else operator.add, values)
     if combine == "max":
         return total
-    mean = total / len(h)
+    mean = total / len(values)
     if combine == "mean":
         return mean
-    gaps = [value - mean for value in h]
-    return mean + m.sqrt(_dot(gaps, gaps) / len(h))
+    squares = [(value - mean) * (value - mean) for value in values]
+    return mean + m.sqrt(functools.reduce(operator.add, squares) / len(values))
 
 
 def _dot(row: Any, h: Any) -> Any:
@@ -395,11 +382,3 @@ def _dot(row: Any, h: Any) -> Any:
         if m.is_symbol(a) or a != 0.0:
             total = total + a * b
     return total
-
-
-def _block_diagonal(blocks: list[NDArray[Any]]) -> NDArray[np.float64]:
-    rows, cols = blocks[0].shape
-    w = np.zeros((rows * len(blocks), cols * len(blocks)), dtype=blocks[0].dtype)
-    for k, block in enumerate(blocks):
-        w[k * rows : (k + 1) * rows, k * cols : (k + 1) * cols] = block
-    return w
