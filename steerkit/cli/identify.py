@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +17,7 @@ from rich.table import Table
 from steerkit import identification as ident
 from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
 from steerkit.cli.page import check_page, write_page
+from steerkit.identification.ahead import HORIZONS, QUANTITIES, look_ahead
 from steerkit.plots.style import save
 from steerkit.vehicles import scaled, vehicle
 
@@ -73,14 +75,15 @@ def identify(
     with console.status("reading and fitting", spinner="line") if not quiet else contextlib.nullcontext():
         drive = ident.read_drive(log, given, **how)
         identified = ident.identify(drive, car, fixed=_fixed(fix or ()), name=called)
-        prediction, agrees = None, ""
+        prediction, agrees, judged = None, "", drive
         if held_out:
-            other = ident.read_drive(held_out, given, **how)
+            judged = other = ident.read_drive(held_out, given, **how)
             prediction = identified.predict(other)
             if other.turns:
                 agrees = identified.against(ident.identify(other, car, fixed=_fixed(fix or ())))
+        ahead = look_ahead(identified, judged)
     command = " ".join(["steerkit", *sys.argv[1:]])
-    _report(console, identified, prediction, quiet=quiet)
+    _report(console, identified, prediction, ahead, quiet=quiet)
     if agrees:
         console.print(escape(agrees), highlight=False, soft_wrap=True)
     if out is not None:
@@ -102,6 +105,7 @@ def identify(
             "vehicle": identified.vehicle.name,
             "estimates": identified.intervals,
             "correlation_time": identified.correlation_time,
+            "ahead": {"seconds": HORIZONS} | asdict(ahead),
             "notes": [*identified.drive.notes, *identified.notes, *filter(None, [agrees])],
         }
         for word, fit in fits.items():
@@ -109,7 +113,7 @@ def identify(
         print(json.dumps(answer))
 
 
-def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> None:
+def _report(console: Any, identified: Any, prediction: Any, ahead: Any, *, quiet: bool) -> None:
     if not quiet:
         for part in (identified.fit, *([prediction] if prediction else ())):
             for note in part.drive.notes:
@@ -122,6 +126,14 @@ def _report(console: Any, identified: Any, prediction: Any, *, quiet: bool) -> N
     for part in (identified.fit, *([prediction] if prediction else ())):
         fits.add_row(part.drive.name, *(f"{getattr(part, key):.5f}" for key in _FITS[:4]))
     console.print(fits)
+    title = f"{ahead.drive}: RMS error ahead, from {ahead.starts} starts"
+    errors = Table("", "predicted by", *(f"{seconds:g} s" for seconds in HORIZONS), title=escape(title))
+    for quantity, by_predictor in ahead.errors.items():
+        for who, misses in by_predictor.items():
+            errors.add_row(f"{quantity} \\[{QUANTITIES[quantity]}]", who, *(f"{miss:.3f}" for miss in misses))
+    if ahead.errors:
+        console.print(errors)
+    console.print(f"ahead: {escape(ahead.note)}", highlight=False, soft_wrap=True)
     if not quiet:
         for note in identified.notes:
             console.print(escape(note), highlight=False, soft_wrap=True)

@@ -22,6 +22,7 @@ from steerkit._support.files import write_text
 from steerkit.compiled import compile
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Scalar
+from steerkit.diagram.simulation import Log
 from steerkit.logs.drive import Array, Drive, moments
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
@@ -46,7 +47,7 @@ OPEN = {
     "offset": "actuator.offset",
 }
 """Parameters that are fields of blocks."""
-_SLOW_ENOUGH = 0.01  # [s], a step at which every car within the bounds is integrated stably
+SLOW_ENOUGH = 0.01  # [s], a step at which every car within the bounds is integrated stably
 _PAUSE = 0.04  # share of the axis between the fitted and the held-out drive
 
 
@@ -72,24 +73,30 @@ class Simulator:
         play = Playback(angles=tuple(drive.delta_sw.tolist()), speeds=tuple(drive.v.tolist()), dt=drive.dt)
         # the wheel may turn as fast as it was recorded to turn: no rate limit acts
         actuator = SteeringActuator(limit=30.0, rate_limit=200.0, dt=drive.dt)
-        substeps = math.ceil(drive.dt / _SLOW_ENOUGH - 1e-9)
+        substeps = math.ceil(drive.dt / SLOW_ENOUGH - 1e-9)
         car = LinearSingleTrack(vehicle=base, dt=drive.dt, substeps=substeps, v0=float(drive.v[0]))
         loop = Loop(
             blocks={"drive": play, "actuator": actuator, "car": car},
             wires=[(play.delta_sw, actuator.delta_sw_cmd), (actuator.delta_sw, car.delta_sw_cmd), (play.v, car.v_cmd)],
         )
         names = (*OPEN.values(), "car.vehicle.c_f", "car.vehicle.c_r")
-        self._compiled = compile(loop, record=["car.r"], parameters=names)
+        self._compiled = compile(loop, record=["car.r", "actuator.delta_sw"], parameters=names)
 
     def yaw_rates(self, sets: list[dict[str, float]]) -> Array:
         """Yaw rate (n, len(sets)) [rad/s] for each set of steer_ratio, delay, lag, offset, d_f, d_r."""
+        return self._run(sets)["car.r"]
+
+    def wheel(self, theta: dict[str, float]) -> Array:
+        """Steering-wheel angle as the car has it from each sample to the next (n,) [rad]: late, its zero corrected."""
+        return self._run([theta])["actuator.delta_sw"][:, 0]
+
+    def _run(self, sets: list[dict[str, float]]) -> Log:
         each = {name: np.array([one[name] for one in sets]) for name in sets[0]}
         c_f, c_r = stiffnesses(self.base, each["d_f"], each["d_r"])
         values = {field: each[name] for name, field in OPEN.items()}
         values["drive.delay"] = each["delay"] - self.drive.dt  # actuator and car hold their inputs: dt/2 late each
         values |= {"car.vehicle.c_f": c_f, "car.vehicle.c_r": c_r}
-        log = self._compiled.run(len(self.drive.v) * self.drive.dt, parameters=values)
-        return log["car.r"]
+        return self._compiled.run(len(self.drive.v) * self.drive.dt, parameters=values)
 
 
 @dataclass(frozen=True)

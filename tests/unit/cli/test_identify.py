@@ -22,7 +22,17 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> N
     (tmp_path / "map.toml").write_text('[columns]\ndelta_sw = { column = "angle", unit = "deg", scale = -1 }\n')
     lap, out, picture = (str(tmp_path / name) for name in ("lap.mat", "car.toml", "fit.png"))
     words = (lap, "--map", str(tmp_path / "map.toml"), "--held-out", lap, "--name", "mine")
-    answer = cli("identify", *words, "--out", out, "--plot", picture, "--json").json
+    page = tmp_path / "page.html"
+    answer = cli("identify", *words, "--out", out, "--plot", picture, "--report", str(page), "--json").json
+    ahead = answer["ahead"]
+    assert (ahead["seconds"], list(ahead["errors"])) == ([0.2, 0.5, 1.0, 2.0], ["v_x", "longitudinal", "lateral"])
+    lateral = ahead["errors"]["lateral"]
+    assert lateral["model"][-1] < lateral["kinematics"][-1] < lateral["persistence"][-1]
+    assert "v_y is not in the log" in ahead["note"]
+    printed = page.read_text()
+    row = next(line for line in printed.splitlines() if "lateral [m]" in line and "persistence" in line)
+    assert all(f"{miss:.3f}" in row for miss in lateral["persistence"])
+    assert ahead["note"] in printed
     assert answer["estimates"]["steer_ratio"]["low"] < 14.2 < answer["estimates"]["steer_ratio"]["high"]
     assert answer["held_out"]["rms"] == pytest.approx(answer["fit"]["rms"])
     assert vehicle(out).steer_ratio == answer["estimates"]["steer_ratio"]["value"]
