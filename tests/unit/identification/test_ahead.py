@@ -90,7 +90,7 @@ def test_on_a_steady_circle_only_kinematics_is_wrong() -> None:
 
 def test_kinematics_is_right_at_low_speed() -> None:
     """Its yaw rate is wrong by the share K v^2/L, 1 % here; and so is how far it gets aside."""
-    drive = made(1.5 * np.sin(0.5 * T), 3.2)
+    drive = made(np.where(T < 6.0, 0.0, 1.5 * np.sin(0.5 * (T - 6.0))), 3.2)
     answer = judged(drive)
     aside = np.array(answer.errors["lateral"]["persistence"])
     assert aside[-1] > 0.1
