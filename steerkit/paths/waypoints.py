@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -28,35 +28,60 @@ _READ = (*_CALLED.values(), "s", "psi", "kappa", "v_limit")
 _SCALES = {unit: factor for units in FACTORS.values() for unit, factor in units.items()}
 
 
-def read_columns(text: str, where: str) -> dict[str, Array]:
+def read_columns(text: str, where: str, left_out: dict[int, str] | None = None) -> dict[str, Array]:
     """The columns of CSV text by their names, in SI units, degrees for lat and lon: see `text_table`.
 
     x, y, lat, lon, t and v may have any of the names that a log's may have, and units as `x [m]` or `speed_kmh`.
-    Raises ValueError for an empty file, a ragged row or a cell that is no number, with its line.
+    left_out: is given the numbers of the lines that hold no point, and what they hold. Raises ValueError for an empty
+    file; for a ragged row or a cell that is no number, with its line, without `left_out` or in more rows than a tenth.
     """
     if text.lstrip().startswith("<"):
         raise ValueError(
             f"{where}: is XML (GPX?), expected CSV; write its positions under a header 'lat,lon', one a line, as "
             "lat and lon of every <trkpt> stand in a GPX file"
         )
-    table = text_table((found[0] for found in re.finditer(r"[^\r\n]*(?:\r\n?|\n|\Z)", text)), where)
+    table = text_table(_lines(text), where)
     columns = _named(table.names, where)
-    values = array("d")  # of a row of text at a time: all of it as text would take twenty times the file
-    said = set[int]()
+    places = next((two for two in (("x", "y"), ("lat", "lon")) if {*two} <= {one for one, _ in columns}), ())
+    read, place = ([n for n, (one, _) in enumerate(columns) if one in some] for some in (_READ, places))
+    bad: dict[int, str] = {} if left_out is None else left_out
+    values, lines = array("d"), array("I")  # of a row of text at a time: all of it as text would take twenty times
     for k, line, numbers in table.rows:
-        if not values:  # columns of words that nothing here reads
-            said = {n for n, (one, _) in zip(range(len(numbers)), columns) if numbers[n] is None and one not in _READ}
-        if len(numbers) == len(columns):
-            numbers = [number for n, number in enumerate(numbers) if n not in said]
-        if None in numbers or len(numbers) != len(columns) - len(said):
-            names = ",".join(table.names)
-            raise ValueError(f"{where}: line {k} is {line[:200]!r}, expected {len(columns)} numbers ({names})")
-        values.extend(numbers)  # type: ignore[arg-type]
-    if not values:
-        raise ValueError(f"{where}: no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
-    columns = [column for n, column in enumerate(columns) if n not in said]
+        if None in numbers and len(numbers) == len(columns):  # a word that nothing here reads is none that is wrong
+            numbers = [math.nan if one is None and n not in read else one for n, one in enumerate(numbers)]
+        whole = None not in numbers and len(numbers) == len(columns)
+        if whole and (left_out is None or all(math.isfinite(numbers[n] or 0.0) for n in place)):
+            values.extend(numbers)  # type: ignore[arg-type]
+            lines.append(k)
+        else:
+            bad[k] = f"line {k} is {line[:200]!r}, expected {len(columns)} numbers ({','.join(table.names)})"
+            require(left_out is not None, where, bad[k])
+    first = next(iter(bad.values()), "no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
+    require(lines, where, first)
+    require(9 * len(bad) <= len(lines), where, f"{first}; and so are {len(bad)} of {len(bad) + len(lines)} rows")
     rows = np.frombuffer(values).reshape(-1, len(columns)).T
-    return {name: row if factor == 1.0 else factor * row for (name, factor), row in zip(columns, rows)}
+    made = {name: row if factor == 1.0 else factor * row for (name, factor), row in zip(columns, rows)}
+    if left_out is not None and places:
+        stray = stray_ends(made[places[0]], made[places[1]], made.get("t"), flat="x" in places)
+        left_out |= {lines[k]: f"line {lines[k]}: {why}" for k, why in stray.items()}
+        made = {name: row[0 in stray : len(row) - (-1 in stray)] for name, row in made.items()}
+    return made
+
+
+def _lines(text: str) -> Iterator[str]:
+    return (found[0] for found in re.finditer(r"[^\r\n]*(?:\r\n?|\n|\Z)", text))
+
+
+def mended(text: str, where: str) -> str:
+    """CSV text whose bad rows are comments that say so; raises ValueError as `read_columns`."""
+    bad: dict[int, str] = {}
+    read_columns(text, where, bad)
+    return "".join(f"# left out: {bad[k]}\n" if k in bad else line for k, line in enumerate(_lines(text), 1))
+
+
+def said_of(left_out: Collection[str]) -> list[str]:
+    """What to say of positions that are left out, in a line or none."""
+    return [f"{len(left_out)} positions are left out, the first: {next(iter(left_out))}"] if left_out else []
 
 
 def _named(names: list[str], where: str) -> list[tuple[str, float]]:
@@ -202,6 +227,42 @@ def place_deg(lat_deg: float, lon_deg: float) -> str:
     """A position as people write it: `52.28000 N, 8.02000 E`."""
     north, east = "N" if lat_deg >= 0.0 else "S", "E" if lon_deg >= 0.0 else "W"
     return f"{abs(lat_deg):.5f} {north}, {abs(lon_deg):.5f} {east}"
+
+
+FASTEST = 100.0
+"""[m/s]; what seems faster is a wrong position."""
+
+
+def stray_ends(
+    a: Array, b: Array, t: Array | None = None, *, flat: bool = False, drawn: bool = False
+) -> dict[int, str]:
+    """Is the first position (0) wrong, or the last (-1)? Why, in words, of ten positions or more.
+
+    It lies off by more than ten times the longest of the other steps, and not straight on (drawn, where one step may
+    be long: by ten times all of them); or by t [s] it is left faster than any car.
+
+    a, b: x, y where `flat` [m], else latitude and longitude [degrees] (n,).
+    """
+    found = dict[int, str]()
+    if len(a) < _MANY:
+        return found
+    metres = np.array([1.0, 1.0] if flat else [111e3, 111e3 * math.cos(math.radians(np.median(a)))])
+    steps = np.hypot(metres[0] * np.diff(a), metres[1] * np.diff(b))
+    if not np.isfinite(steps).all():
+        return found
+    most = 10.0 * float(steps[1:-1].sum() if drawn else steps[1:-1].max())
+    for end, way in ((0, 1), (-1, -1)):
+        first, second, third = metres * np.column_stack((a[::way][[0, 1, 5]], b[::way][[0, 1, 5]]))
+        step, on = float(steps[end]), math.dist(second, third)
+        ahead = (second - first) @ (third - second) > 0.88 * step * on > 0.0
+        late = np.full(2, np.inf) if t is None else np.abs(np.diff(t[::way][:3]))
+        left = steps[::way][:2] - 30.0 > FASTEST * late
+        if (step > most and not ahead) or (left[0] and not left[1]):
+            where = f"({a[end]:g}, {b[end]:g}) [{'m' if flat else 'degrees'}]"
+            found[end] = (
+                f"{where} lies {step:.0f} m from the {'next' if way > 0 else 'last'} position, as no car drives"
+            )
+    return found
 
 
 _MANY, _FAR, _WIDE, _SMALL = 10, 100.0, 5000.0, 5.0

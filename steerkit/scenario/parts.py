@@ -21,7 +21,7 @@ from steerkit.paths.courses import course, lane_change, names, random_course, re
 from steerkit.paths.importers.course import course_of
 from steerkit.paths.importers.reading import KINDS, Address, is_road, read_course
 from steerkit.paths.path import Array, Path
-from steerkit.paths.waypoints import read_columns
+from steerkit.paths.waypoints import mended, read_columns
 from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import DegradedSensors, Sensors
@@ -140,7 +140,10 @@ class Course(Part):
             text = read_course(self.name, tightest=_TIGHTEST, closed=self.closed).text()
             object.__setattr__(self, "text", text)
             object.__setattr__(self, "name", f"{Address.parsed(self.name).name}.csv")
+        read = self.text is None
         self._keep_file(".csv")
+        if read and self.text is not None:
+            object.__setattr__(self, "text", mended(self.text, self.name))
         if self.text is None:
             require(self.closed is None, self.table, f"closed = {self.closed} is only for a course from a file")
             if drawn_course(self.name) is None:

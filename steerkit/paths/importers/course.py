@@ -143,7 +143,7 @@ def laid(
     require(SHORTEST <= total <= LONGEST, name, f"is {total:.1f} m long, expected {SHORTEST:g} to {LONGEST:g} m")
     if drawn:
         check_turns(line.xy, name)
-    check_spikes(line.xy, noise, name)
+    check_spikes(line.xy, noise, name, drawn=drawn)
     if drawn:
         line = line.dense() if noise > 0.0 else line
     remarks = list(notes)
@@ -200,8 +200,11 @@ def check_turns(xy: Array, name: str) -> None:
         raise ValueError(f"{name}: {what}; choose a part without it, or a route along lanes")
 
 
-def check_spikes(xy: Array, noise: float, name: str) -> None:
-    """ValueError for a single point that lies beside a line that is smooth without it."""
+def check_spikes(xy: Array, noise: float, name: str, *, drawn: bool = False) -> None:
+    """ValueError for a single point that lies beside a line that is smooth without it.
+
+    What is drawn may go in a zigzag of few points: its neighbours swing too, or it still turns by 0.3 of what it did.
+    """
     if len(xy) < 6:
         return
 
@@ -211,9 +214,11 @@ def check_spikes(xy: Array, noise: float, name: str) -> None:
 
     five = np.stack([xy[k : len(xy) - 4 + k] for k in range(5)], axis=1)
     bends = turns(five)
-    less = np.abs(bends).sum(axis=1) - np.abs(turns(five[:, [0, 1, 3, 4]])).sum(axis=1)
+    all_of_it, rest = (np.abs(some).sum(axis=1) for some in (bends, turns(five[:, [0, 1, 3, 4]])))
     to_and_fro = np.minimum(-bends[:, 0] * bends[:, 1], -bends[:, 1] * bends[:, 2])  # two corners of a street are not
-    less[to_and_fro < 0.04 * bends[:, 1] ** 2] = 0.0
+    swing = np.pad(to_and_fro / np.maximum(bends[:, 1] ** 2, 1e-12), 1)
+    zigzag = drawn & ((np.maximum(swing[:-2], swing[2:]) > 0.45) | (rest > 0.3 * all_of_it))
+    less = np.where((swing[1:-1] < 0.04) | zigzag, 0.0, all_of_it - rest)
     a, p, b = five[:, 1], five[:, 2], five[:, 3]
     chord = b - a
     cross = chord[:, 0] * (p - a)[:, 1] - chord[:, 1] * (p - a)[:, 0]

@@ -21,7 +21,7 @@ from steerkit.paths.importers.opendrive import opendrive
 from steerkit.paths.importers.tracks import EVER, rounds
 from steerkit.paths.importers.xml_stream import root_of
 from steerkit.paths.path import Array
-from steerkit.paths.waypoints import distances, placed, read_columns, travelled
+from steerkit.paths.waypoints import distances, placed, read_columns, said_of, travelled
 
 KINDS: Mapping[str, str] = {
     ".csv": "CSV",
@@ -85,15 +85,17 @@ def _contents(file: str, ending: str) -> Map:
     if isinstance(made, Map):
         return made
     kind = "feature" if "json" in ending else "track"
-    found = {track.name: track for track in made}
-    require(found, file, f"holds no {kind} of two points or more")
-    pieces = {
-        name: Piece(
-            group=name, length=float(distances(track.line().xy).sum()), line=track.line, about="drawn" * track.drawn
-        )
-        for name, track in found.items()
-    }
-    return Map(kind=kind, pieces=pieces, tracks=found)
+    pieces, faulty = dict[str, Piece](), {track.name: track.bad[0] for track in made if track.bad}
+    for name, track in ((track.name, track) for track in made if len(track.a) > 1):
+        try:
+            length = float(distances(track.line().xy).sum())
+            pieces[name] = Piece(group=name, length=length, line=track.line, about="drawn" * track.drawn)
+            faulty.pop(name, None)  # its good part is driven
+        except ValueError as error:
+            faulty[name] = str(error).removeprefix(f"{name}: ")
+    first = next(iter(faulty.values()), f"holds no {kind} of two points or more")
+    require(pieces, file, first)
+    return Map(kind=kind, pieces=pieces, faulty=faulty, tracks={t.name: t for t in made if t.name in pieces})
 
 
 def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None = None) -> Course:
@@ -138,13 +140,13 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
 
 def _exact(file: str, closed: bool | None) -> Course:
     """The course through the points of a CSV file."""
-    text = tracks.text_of(file)
-    columns = read_columns(text, file)
+    text, bad = tracks.text_of(file), dict[int, str]()
+    columns = read_columns(text, file, bad)
     path = path_in(text, columns, FilePath(file).name, closed)
     s = travelled(placed(columns, file)[0])
     v, limit = (along(path, s * (path.length / s[-1]), columns.get(name)) for name in ("v", "v_limit"))
     note = f"read {FilePath(file).name}: the course leads through its {len(s)} points; FILE#noise=... [m] smooths them"
-    return Course(path=path, v=v, v_limit=limit, notes=(note,))
+    return Course(path=path, v=v, v_limit=limit, notes=(note, *said_of(bad.values())))
 
 
 def chosen(found: Map, where: Address, closed: bool | None = None) -> tuple[Line, bool, list[str]]:

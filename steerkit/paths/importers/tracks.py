@@ -19,13 +19,16 @@ from steerkit._support.tables import seconds_of
 from steerkit.paths.importers.course import Line, distinct
 from steerkit.paths.importers.xml_stream import finite, number, records, shown, value
 from steerkit.paths.waypoints import (
+    FASTEST,
     check_gps,
     check_metres,
     check_stated,
     distances,
     east_north,
     read_columns,
+    said_of,
     stated,
+    stray_ends,
     travelled,
 )
 
@@ -68,11 +71,10 @@ class Track:
         if self.flat:
             check_metres(line.xy, where)
         t, v = (np.array(column) if column else np.full(len(line.xy), np.nan) for column in (self.t, self.v))
-        notes = [f"{len(self.bad)} positions are left out, the first: {self.bad[0]}"] if self.bad else []
         timed = not self.drawn and np.isfinite(t).sum() > 0.5 * len(t)
         require(timed or span == EVER, where, "from, to [s] choose by time, which these positions are without")
         line, more = (line, []) if self.drawn else cleaned(line.xy, t, v, noise, where, span)
-        return line, notes + more
+        return line, said_of(self.bad) + more
 
     def add(self, a: float, b: float, t: float = math.nan, v: float = math.nan) -> None:
         """One more position."""
@@ -87,6 +89,27 @@ class Track:
             self.add(lat, lon, math.nan if t is None else _seconds(t), math.nan if v is None else value(v))
         except ValueError as error:
             self.bad.append(str(error))
+
+    def put(self, point: Any, t: Any) -> None:
+        """One more from GeoJSON, if it and its time are such."""
+        good = isinstance(point, list) and len(point) >= 2
+        good = good and all(type(x) in (int, float) and math.isfinite(x) for x in point)
+        if not good or not (self.flat or (abs(point[0]) <= 180.0 and abs(point[1]) <= 90.0)):
+            self.bad.append(f"coordinates: a position {point}, expected longitude and latitude, as numbers"[:200])
+            return
+        try:
+            a, b = point[:2] if self.flat else point[1::-1]
+            self.add(a, b, math.nan if t is None else _seconds(str(t)))
+        except ValueError as error:
+            self.bad.append(str(error))
+
+    def trim(self) -> None:
+        """Leave out a first and a last position that are wrong: the first would be the origin of all."""
+        a, b, t = (np.array(column) for column in (self.a, self.b, self.t))
+        for end, why in stray_ends(a, b, t, flat=self.flat, drawn=self.drawn).items():
+            self.bad.append(why)
+            for column in (self.a, self.b, self.t, self.v):
+                column.pop(end)
 
     def call(self, name: str, others: Iterable[Track]) -> None:
         """Its name, unless it has one or another track has it; a comma would part keys of an address."""
@@ -169,12 +192,13 @@ def _whole(nodes: Iterator[Element], tracks: list[Track]) -> Iterator[Element]:
 
 
 def _some(tracks: list[Track]) -> list[Track]:
-    """Those of two positions or more; ValueError where all are without, and some position says why."""
-    found = [track for track in tracks if len(track.a) > 1]
+    """All of them without wrong ends; ValueError where none has two positions, and some position says why."""
+    for track in tracks:
+        track.trim()
     bad = [why for track in tracks for why in track.bad]
-    if bad and not found:
+    if bad and not any(len(track.a) > 1 for track in tracks):
         raise ValueError(bad[0])
-    return found
+    return tracks
 
 
 def _seconds(text: str) -> float:
@@ -205,14 +229,16 @@ def geojson(file: str) -> list[Track]:
             stream.seek(0)
             where = "features.item" if kind == "FeatureCollection" else ""
             flat = not any(word in crs for word in ("CRS84", "4326"))
-            for feature in ijson.items(stream, where, use_float=True, buf_size=_CHUNK):
-                tracks += _lines(feature, tracks, flat)
+            for k, feature in enumerate(ijson.items(stream, where, use_float=True, buf_size=_CHUNK)):
+                try:
+                    tracks += _lines(feature, tracks, flat)
+                except (AttributeError, KeyError, TypeError, ValueError) as error:  # not the next one's fault
+                    tracks.append(Track(f"number {k}"))
+                    tracks[-1].bad.append(f"no GeoJSON, or damaged ({type(error).__name__}: {error})")
     except OSError as error:
         raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
     except (ijson.JSONError, UnicodeError, RecursionError) as error:
         raise ValueError(f"{file}: no JSON, damaged or cut off ({' '.join(str(error).split())[:80]})") from error
-    except (AttributeError, KeyError, TypeError) as error:
-        raise ValueError(f"{file}: no GeoJSON, or damaged ({type(error).__name__}: {error})") from error
     return _some(tracks)
 
 
@@ -245,18 +271,11 @@ def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Tra
         name = base + f".{k}" * (len(lines) > 1)
         timed = len(lines) == 1 and len(times) == len(points)
         track = Track(f"{name}-{len(before) + k}" if name in used else name, flat=flat, drawn=not timed)
-        stamps = [_seconds(text) for text in times] if timed else [math.nan] * len(points)
+        stamps = list(times) if timed else [None] * len(points)
         stamps.reverse()
         points.reverse()
         while points:
-            point = points.pop()  # not held twice
-            good = len(point) >= 2 and all(type(x) in (int, float) and math.isfinite(x) for x in point)
-            t = stamps.pop()
-            if good:
-                a, b = point[:2] if flat else point[1::-1]
-                track.add(a, b, t)
-            else:
-                track.bad.append(f"coordinates: a position {point}, expected longitude and latitude, as numbers")
+            track.put(points.pop(), stamps.pop())  # not held twice
         made.append(track)
     return made
 
@@ -271,13 +290,14 @@ def text_of(file: str) -> str:
 
 def csv(file: str) -> list[Track]:
     """The points of a CSV file with columns x, y [m] or lat, lon [degrees], and t [s], v [m/s] where there are any."""
-    text = text_of(file)
-    columns = read_columns(text, file)
+    text, bad = text_of(file), dict[int, str]()
+    columns = read_columns(text, file, bad)
     flat = {"x", "y"} <= columns.keys()
     require(flat or {"lat", "lon"} <= columns.keys(), file, f"columns {', '.join(columns)}; valid: x, y or lat, lon")
     said = stated(text)
     del text
     track = Track("0", flat=flat)
+    track.bad += bad.values()
     names = ("x" if flat else "lat", "y" if flat else "lon", "t", "v")
     for column, name in zip((track.a, track.b, track.t, track.v), names):
         column.frombytes(columns.pop(name, np.empty(0)).tobytes())
@@ -298,8 +318,6 @@ _FIT = 9.0
 """The speed is the slope of the distance over this time [s]."""
 _LEAST_ROUND = 60.0
 """A round is this long at least [m]."""
-_FASTEST = 100.0
-"""[m/s]; what seems faster is a wrong position."""
 
 
 EVER = (-math.inf, math.inf)
@@ -322,8 +340,8 @@ def cleaned(
     known[known] = np.diff(t[known], prepend=-np.inf) != 0.0
     xy, t, v = xy[known], t[known], v[known]
     notes = [f"left out {(~known).sum()} points without a time of their own"] if not known.all() else []
-    far = np.hypot(*(xy[2:] - xy[:-2]).T) - min(6.0 * noise, 30.0) <= _FASTEST * np.abs(t[2:] - t[:-2])
-    jumps = distances(xy) - min(6.0 * noise, 30.0) > _FASTEST * np.abs(np.diff(t))
+    far = np.hypot(*(xy[2:] - xy[:-2]).T) - min(6.0 * noise, 30.0) <= FASTEST * np.abs(t[2:] - t[:-2])
+    jumps = distances(xy) - min(6.0 * noise, 30.0) > FASTEST * np.abs(np.diff(t))
     wrong = np.flatnonzero(jumps[1:] & jumps[:-1] & far) + 1
     if wrong.size:
         notes.append(f"left out {wrong.size} wrong positions, which no car reaches; the first is point {wrong[0]}")
@@ -335,7 +353,7 @@ def cleaned(
     xy, t, v, since = xy[within], t[within], v[within], since[within]
     moved, steps = distances(xy), np.diff(t)
     lost = (steps > max(_LOST, 3.0 * float(np.median(np.abs(steps))))) & (moved > _MOVED + 6.0 * noise)
-    breaks = np.flatnonzero(lost | (steps < 0.0) | (moved - min(6.0 * noise, 30.0) > _FASTEST * np.abs(steps)))
+    breaks = np.flatnonzero(lost | (steps < 0.0) | (moved - min(6.0 * noise, 30.0) > FASTEST * np.abs(steps)))
     if breaks.size:
         ends = [0, *(breaks + 1), len(t)]
         parts = [slice(a, b) for a, b in itertools.pairwise(ends)]

@@ -408,3 +408,18 @@ def test_a_drive_whose_time_falls_is_turned_round_and_says_so(clean: dict[str, A
     turned = Drive.of({key: value[::-1] for key, value in clean.items()})
     assert any("turned round, as its time falls from row to row" in note for note in turned.notes)
     np.testing.assert_array_equal(turned.r, drive.r)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_scale_of_a_short_drive_rests_on_two_turns_that_are_independent(seed: int) -> None:
+    """22 s are less than four times the 5 s over which gyro and heading are compared."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 22.0, 0.05)
+    r = 0.3 * np.sin(0.7 * t)
+    gyro = r + 0.12 * np.sin(0.31 * t + seed) + 0.01 * rng.normal(size=len(t))
+    psi = 0.3 / 0.7 * (1.0 - np.cos(0.7 * t))
+    drive = Drive.of(
+        {"t": t, "delta_sw": 45.0 * r / 6.0, "v": np.full_like(t, 6.0), "r": gyro, "psi": psi}, trusted=True
+    )
+    turned, shown = ((a[100:] - a[:-100])[20:] for a in (psi, np.cumsum(gyro) * 0.05 - 0.025 * gyro))
+    correlation = np.corrcoef(turned, shown)[0, 1]
+    assert drive.scale_deviation == pytest.approx(np.sqrt((1.0 - correlation**2) / 2.0) / correlation, rel=0.01)

@@ -1,11 +1,13 @@
 """Good maps and tracks of others' writers with one defect each open in their good part, with the defect named; and
 files damaged by their structure lead to a course of numbers, or are refused in words."""
 
+import json
 import math
 import os
 import time
 from collections.abc import Callable
 from pathlib import Path as FilePath
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,6 +15,8 @@ import pandas as pd
 import pytest
 
 from steerkit.paths.importers import contents, read_course
+from steerkit.paths.path import Path
+from steerkit.scenario import Scenario
 from tests.support import road_files
 
 COUNT = int(os.environ.get("STEERKIT_DAMAGED", "12"))
@@ -138,6 +142,73 @@ def test_a_map_with_one_faulty_road_opens_without_it(defect: str, road: str, tmp
     assert found.groups.keys() == before.groups.keys() - {road}
 
 
+ROWS = {"text": "12,x", "NaN": "nan,2", "too few columns": "12", "too many": "1,2,3", "infinite": "1e309,2"}
+
+
+@pytest.mark.parametrize("key", ["", "#noise=0.1"])
+@pytest.mark.parametrize("defect", ROWS)
+def test_a_bad_row_is_left_out_and_named_and_many_refuse(defect: str, key: str, tmp_path: FilePath) -> None:
+    file = tmp_path / "a.csv"
+    good = [f"{x:.9f},{y:.9f}" for x, y in XY.tolist()]
+    right = "x,y\n" + "\n".join(good[:20] + good[21:]) + "\n"
+    file.write_text(right)
+    before = read_course(f"{file}{key}").path
+    for bad, spoilt in ((1, [ROWS[defect]]), (6, [ROWS[defect]] * 6)):
+        file.write_text("x,y\n" + "\n".join(good[:20] + spoilt + good[21:]) + "\n")
+        made = read_course(f"{file}{key}")
+        (note,) = (one for one in made.notes if "left out" in one)
+        assert note.startswith(
+            f"{bad} positions are left out, the first: line 22 is '{ROWS[defect]}', expected 2 numbers"
+        )
+        assert made.path.length == before.length
+    scenario = Scenario(course=f"{file}{key}")
+    assert scenario.path().length == pytest.approx(before.length, abs=1e-6)
+    assert "left out: line 22 is" in (scenario.course.text or "") or key
+    file.write_text("x,y\n" + "\n".join(good[:20] + [ROWS[defect]] * 7 + good[21:]) + "\n")
+    for read in (read_course, lambda address: Scenario(course=address).path()):
+        with pytest.raises(ValueError, match=r"line 22 is .*; and so are 7 of 66 rows"):
+            read(f"{file}{key}")
+
+
+def test_a_car_takes_no_course_with_a_bad_row_and_words_that_nothing_reads_are_none(tmp_path: FilePath) -> None:
+    rows = [f"{x},{y},{'' if k else 'a'}" for k, (x, y) in enumerate(XY.tolist())]
+    with pytest.raises(ValueError, match="line 3 is 'x,1,a', expected 3 numbers"):
+        Path.from_csv(tmp_path / "a.csv", closed=False, text="\n".join(["x,y,note", rows[0], "x,1,a", *rows[1:]]))
+    assert Path.from_csv(tmp_path / "a.csv", closed=False, text="\n".join(["x,y,note", *rows])).length > 290.0
+
+
+BROKEN: dict[str, Any] = {
+    "no geometry": {"type": "Feature", "geometry": "x"},
+    "coordinates that are none": {"type": "Feature", "geometry": {"type": "LineString", "coordinates": 7}},
+    "no coordinates": {"type": "Feature", "geometry": {"type": "LineString"}},
+    "no feature": 7,
+    "positions that are none": {
+        "type": "Feature",
+        "id": "b",
+        "geometry": {"type": "LineString", "coordinates": [7, None, [999, 1]]},
+    },
+}
+
+
+@pytest.mark.parametrize("defect", BROKEN)
+@pytest.mark.parametrize("at", [0, 1])
+def test_a_broken_feature_of_a_geojson_file_is_left_out(defect: str, at: int, tmp_path: FilePath) -> None:
+    file = yard(tmp_path / "a.geojson")
+    whole = json.loads(file.read_text())
+    before = read_course(str(file)).path
+    whole["features"].insert(at, BROKEN[defect])
+    whole["features"][1 - at]["geometry"]["coordinates"][30] = [8.02, "52"]
+    whole["features"][1 - at]["geometry"]["coordinates"][31] = None
+    file.write_text(json.dumps(whole))
+    found, made = contents(str(file)), read_course(str(file))
+    assert [*found.groups] == ["yard"]
+    assert [*found.faulty] == ["b" if "positions" in defect else f"number {at}"]
+    said = " ".join(made.notes)
+    assert "1 faulty features are left out" in said
+    assert "2 positions are left out, the first: coordinates: a position [8.02, '52']" in said
+    assert made.path.length == pytest.approx(before.length, rel=0.01)
+
+
 def yard(file: FilePath) -> FilePath:
     return road_files.geojson(XY, file)
 
@@ -223,4 +294,4 @@ def test_a_damaged_map_is_a_course_of_numbers_or_refused_in_words(name: str, tmp
         assert np.isfinite(made.path.samples.kappa).all(), f"file {number}"
         assert made.v is None or np.isfinite(made.v).all(), f"file {number}"
     assert all(len(one.splitlines()) <= 10 for one in said)
-    assert opened or name == "a.geojson", "JSON is refused whole"
+    assert opened or name == "a.geojson", "JSON that is none any more is refused whole"

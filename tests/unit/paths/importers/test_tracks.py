@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path as FilePath
 
@@ -12,9 +13,12 @@ import pytest
 
 from steerkit.paths.courses import course
 from steerkit.paths.importers import Line, contents, read_course
-from steerkit.paths.importers.course import laid
+from steerkit.paths.importers.course import check_spikes, laid
 from steerkit.paths.importers.tracks import Track, cleaned, csv, geojson, gpx, rounds
+from steerkit.paths.waypoints import stray_ends
+from steerkit.scenario import Scenario
 from tests.support import road_files
+from tests.support.road_files import positions
 
 XY = np.column_stack((np.linspace(0.0, 200.0, 41), 10.0 * np.sin(np.linspace(0.0, 3.0, 41))))
 
@@ -336,3 +340,68 @@ def test_a_round_ends_beside_its_beginning_or_not(step: int, noise: float, reach
         assert closed == comes_back
         if closed:
             assert xy[len(line.xy)].tolist() == pytest.approx([-before, beside])
+
+
+@pytest.mark.parametrize("legs", [(40.0, 40.0), (25.0, 55.0)])
+def test_a_zigzag_drawn_by_hand_is_no_wrong_position(legs: tuple[float, float]) -> None:
+    """Of equal legs and of others, and three corners between straights; the same, recorded, are wrong positions."""
+    x = np.cumsum([0.0, *legs * 4])
+    zigzag = np.column_stack((x, np.where(np.arange(9) % 2, 12.0, 0.0)))
+    stairs = np.array([(-60, 0), (0, 0), (60, 0), (60, 40), (120, 40), (120, 100), (120, 160)], dtype=float)
+    for xy in (zigzag, stairs):
+        check_spikes(xy, 0.1, "way", drawn=True)
+        with pytest.raises(ValueError, match="a wrong position"):
+            check_spikes(xy, 0.1, "way")
+    straight = np.column_stack((20.0 * np.arange(12), np.where(np.arange(12) == 6, 8.0, 0.0)))
+    with pytest.raises(ValueError, match=r"point 6.* a wrong position"):
+        check_spikes(straight, 0.1, "way", drawn=True)
+
+
+LAP = np.column_stack((3.0 * np.arange(60.0), 15.0 * np.sin(np.arange(60.0) / 12.0)))
+
+
+@pytest.mark.parametrize("end", [0, -1])
+@pytest.mark.parametrize("kind", ["a.gpx", "a.geojson", "a.csv", "plain.csv", "timed.csv"])
+def test_a_wrong_position_at_an_end_is_left_out_and_is_no_origin(kind: str, end: int, tmp_path: FilePath) -> None:
+    file, off = tmp_path / kind, 30.0 if kind == "a.geojson" else 1.0
+    write: dict[str, Callable[[np.ndarray], object]] = {
+        ".gpx": lambda xy: road_files.gpx(xy, file),
+        ".geojson": lambda xy: road_files.geojson(xy, file),
+        ".csv": lambda xy: file.write_text("lat,lon\n" + "\n".join(f"{a:.9f},{b:.9f}" for a, b in zip(*positions(xy)))),
+    }
+    if kind == "timed.csv":
+        write[".csv"] = lambda xy: file.write_text(
+            "t,x,y\n" + "\n".join(f"{k},{x},{y}" for k, (x, y) in enumerate(xy.tolist()))
+        )
+    address = f"{file}{'' if kind == 'plain.csv' else '#noise=0.5'}"
+    write[file.suffix](np.delete(LAP, end, axis=0))
+    right = read_course(address)
+    spoilt = LAP.copy()
+    spoilt[end] += off * np.array([300.0, 900.0])
+    write[file.suffix](spoilt)
+    made = read_course(address)
+    assert any("positions are left out, the first" in note and "as no car drives" in note for note in made.notes)
+    assert made.path.origin_deg == right.path.origin_deg
+    assert made.path.length == pytest.approx(right.path.length, abs=1e-6)
+    if kind == "plain.csv":
+        driven = Scenario(course=str(file)).path()
+        assert (driven.length, driven.origin_deg) == (made.path.length, made.path.origin_deg)
+
+
+def test_a_long_first_leg_is_no_wrong_position() -> None:
+    """Straight on, of what is drawn round a corner too; of two that are alike in their jump the second is wrong."""
+    bend = np.column_stack((np.sin(np.arange(30) / 10.0), 1.0 - np.cos(np.arange(30) / 10.0))) * 20.0
+    for first, drawn in (((-500.0, 0.0), False), ((0.0, -500.0), True)):
+        xy = np.vstack(([first], bend))
+        assert stray_ends(*xy.T, flat=True, drawn=drawn) == {}
+    assert [*stray_ends(*np.vstack(([(0.0, -500.0)], bend)).T, flat=True)] == [0]
+    assert [*stray_ends(*np.vstack(([(0.0, -1000.0)], bend)).T, flat=True, drawn=True)] == [0]
+    assert stray_ends(*np.vstack(([(0.0, -500.0)], bend[:8])).T, flat=True) == {}, "of few points nobody knows"
+    xy = np.vstack((bend[:1], [(0.0, -500.0)], bend[1:]))
+    assert stray_ends(*xy.T, np.arange(31.0), flat=True) == {}
+    t = np.arange(31.0)
+    xy = np.vstack(([(0.0, -131.0)], bend))
+    xy[10:] += 20.0  # a longer step elsewhere
+    assert [*stray_ends(*xy.T, t, flat=True)] == [0], "131 m in a second"
+    t[0] = -1.0
+    assert stray_ends(*xy.T, t, flat=True) == {}
