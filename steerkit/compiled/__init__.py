@@ -138,13 +138,13 @@ class Compiled:
 
     def _floats(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
         """As `NativeProgram.run`, car by car."""
-        program, rows, ends = self._program, [], []
+        program, rows, ends = self._program, [], list[Any]()
         for start, fixed in zip(slots.T.tolist(), parameters.T.tolist(), strict=True):
             kept: list[tuple[float, ...]] = []
             persistent = program.run(k, stop - 1, start, fixed, kept)
             for slot, value in zip(program.trace.persistent, persistent):
                 start[slot] = value
-            ends.append(program.finish(stop - 1, start, fixed))
+            self._last_tick.run(stop - 1, stop, start, fixed, ends)
             if (stop - 1) % self.every == 0:
                 kept.append(tuple([ends[-1][slot] for slot in self._slots]))
             rows.append(np.array(kept, dtype=float).reshape(len(kept), len(self._slots)))
@@ -154,6 +154,10 @@ class Compiled:
     def _program(self) -> Any:
         kind = NativeProgram if self.backend == "c" else PythonProgram
         return kind(self.trace, self._slots, self.every)
+
+    @cached_property
+    def _last_tick(self) -> PythonProgram:
+        return PythonProgram(self.trace, range(len(self.trace.layout)), 1)
 
     def _state(self, k: int, end: Any) -> LoopState:
         values = [float(v) if np.ndim(v) == 0 else np.array(v) for v in end]

@@ -25,9 +25,7 @@ typedef int mask;
 #define AT(name, column) name[column]
 """
 SCALAR_TYPES = f"{_SCALAR}#define CALL1(f, a) f(a)\n#define CALL2(f, a, b) f(a, b)\n"
-MANY, _RUN, _FINISH = (
-    Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("lanes.c", "run.c", "finish.c")
-)
+MANY, _RUN = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("lanes.c", "run.c"))
 ONE = f"#define ONE_CAR\n{_SCALAR}{MANY}"
 
 _CYCLES = {
@@ -116,33 +114,17 @@ def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
         head = f"static inline void tick{number}(double k, real *s, const real *p, real *y, void **routines)"
         ticks.append(f"{head}\n{{\n{body}}}\n")
     cases = [f"{label} tick{i}((double)k, s, p, y, routines); break;" for i, label in enumerate(phase_labels(trace))]
-    sizes = _sizes(trace, RECORDED=max(1, len(recorded)), KEPT=len(recorded), PERIOD=len(trace.ticks))
-    return "\n".join([_head(trace.tables, many=many), *ticks, sizes, f"#define CASES {' '.join(cases)}", _RUN])
-
-
-def finish_source(trace: Trace, number: int, *, many: bool) -> str:
-    """A C file with `finish`: a tick of that of `trace.kinds`, which gives all slots.
-
-    A run ends with one. It stands alone as a tick that computes everything takes as long to compile as one that runs.
-    """
-    tick, _ = trace.kinds[number]
-    body = _body(trace, tick.graph, tick.roots, [f"out[{i}]" for i in range(len(tick.roots))])
-    last = (
-        f"static inline void last(double k, const real *s, const real *p, real *out, void **routines)\n{{\n{body}}}\n"
-    )
-    return "\n".join([_head(trace.tables, many=many), last, _sizes(trace), _FINISH])
+    carried, given, kept = len(persistent), len(trace.parameters), len(recorded)
+    sizes = dict(PERSISTENT=max(1, carried), PARAMETERS=max(1, given), RECORDED=max(1, kept))
+    sizes |= dict(CARRIED=carried, GIVEN=given, KEPT=kept, PERIOD=len(trace.ticks))
+    numbers = f"enum {{ {', '.join([f'{name} = {size}' for name, size in sizes.items()])} }};"
+    return "\n".join([_head(trace.tables, many=many), *ticks, numbers, f"#define CASES {' '.join(cases)}", _RUN])
 
 
 def phase_labels(trace: Trace, suffix: str = "") -> list[str]:
     """Of each of `trace.kinds` its labels in a `switch` over the phase. suffix: of the numbers."""
     own = [" ".join([f"case {phase}{suffix}:" for phase in phases]) for _, phases in trace.kinds[:-1]]
     return [*own, "default:"]
-
-
-def _sizes(trace: Trace, **more: int) -> str:
-    n, size = len(trace.persistent), len(trace.parameters)
-    sizes = dict(PERSISTENT=max(1, n), PARAMETERS=max(1, size), CARRIED=n, GIVEN=size, SLOTS=len(trace.layout)) | more
-    return f"enum {{ {', '.join([f'{name} = {size}' for name, size in sizes.items()])} }};"
 
 
 def lanes_source(tables: Sequence[Table]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import dataclasses
 import functools
 import itertools
 import math
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support import native
-from steerkit.compiled.c_code import finish_source, run_source
+from steerkit.compiled.c_code import run_source
 from steerkit.compiled.trace import Trace
 from steerkit.diagram.maths import Routine
 
@@ -63,10 +64,13 @@ class NativeProgram:
         return native.load(run_source(self.trace, self.recorded, many=many), fused=True, vector_maths=many)
 
     @functools.cache  # noqa: B019 (lives as long as the program)
-    def _finish(self, number: int, many: bool, optimise: bool | None) -> Any:
-        """The C function that takes one tick and gives all slots; optimise: False where it runs once."""
-        source = finish_source(self.trace, number, many=many)
-        return native.load(source, fused=True, vector_maths=many, optimise=optimise).finish
+    def _last(self, phase: int, many: bool, optimise: bool | None) -> tuple[Any, list[int]]:
+        """The C function that takes one tick and records all slots, and the persistent slots that it starts from, by
+        their place among the run's; optimise: False where it runs once."""
+        alone = dataclasses.replace(self.trace, ticks=(self.trace.ticks[phase],))
+        source = run_source(alone, range(len(alone.layout)), many=many)
+        library = native.load(source, fused=True, vector_maths=many, optimise=optimise)
+        return library.run, [self.trace.persistent.index(slot) for slot in alone.persistent]
 
     @contextlib.contextmanager
     def _held(self) -> Iterator[None]:
@@ -105,10 +109,11 @@ class NativeProgram:
                 go(last, stop, rows[_kept(k, last, every) :])
 
         def finished(*, optimise: bool | None = None) -> np.ndarray:
-            slots = np.empty((groups, len(self.trace.layout), lanes))
-            finish = self._finish(self.trace.kind(last), many, optimise)
-            finish(_LL(last), _LL(0), _LL(groups), _at(before), _at(fixed), _at(slots), self._routines)
-            return _apart(slots)[:, :cars]
+            ticks, slots = self.trace.ticks, np.empty((len(self.trace.layout), groups * lanes))
+            tick, carried = self._last(ticks.index(ticks[last % len(ticks)]), many, optimise)
+            start, span = np.take(before, carried, axis=1), map(_LL, (last, stop, 1, 0, groups, groups * lanes))
+            tick(*span, _at(start), _at(fixed), _at(slots), self._routines)
+            return slots[:, :cars]
 
         kept_last = last % every == 0 and bool(self.recorded)
         if alone:

@@ -11,21 +11,21 @@ from steerkit.compiled.graph import FUNCTIONS, INFIX, Graph
 from steerkit.compiled.trace import Trace
 
 _INFIX = INFIX | {"and": "and", "or": "or"}
-_DEEPEST = 12  # nesting of parentheses
+_LONGEST = 150  # characters of what is written where it is used: Python nests 200 parentheses
 
 
 class PythonProgram:
-    """Generated Python: `run(k, stop, slots, parameters, rows)` and, for all slots of one tick, `finish`."""
+    """Generated Python, `run(k, stop, slots, parameters, rows)`: gives the slots that go on, in `trace.persistent`'s
+    order, and adds a row of the slots `recorded`, every so many ticks."""
 
     def __init__(self, trace: Trace, recorded: Sequence[int], every: int):
         self.trace = trace
-        self.source = "\n".join([*_run(trace, recorded, every), *_finish(trace)])
+        self.source = "\n".join(_run(trace, recorded, every))
         scope: dict[str, Any] = {f"table{i}": table._tuples for i, table in enumerate(trace.tables)}
         scope |= {f"routine{i}": routine for i, routine in enumerate(trace.routines)}
         scope |= {name: getattr(math, name) for name in FUNCTIONS} | {"nan": math.nan, "inf": math.inf}
         exec(compile(self.source, "<steerkit compiled loop>", "exec"), scope)
         self.run: Callable[..., tuple[float, ...]] = scope["run"]
-        self.finish: Callable[..., list[float]] = scope["finish"]
 
 
 def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
@@ -41,14 +41,11 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
         roots = [tick.roots[slot] for slot in (*persistent, *recorded)]
         code, names = _statements(tick.graph, roots, trace)
         lines += [pad + line for line in code]
-        if recorded:
-            row = "".join(f"{name}, " for name in names[len(persistent) :])
-            lines.append(f"{pad}{'' if every == 1 else f'if not k % {every}: '}append(({row}))")
+        row = "".join(f"{name}, " for name in names[len(persistent) :])
+        lines.append(f"{pad}{'' if every == 1 else f'if not k % {every}: '}append(({row}))")
         moved = [(f"s{slot}", name) for slot, name in zip(persistent, names) if name != f"s{slot}"]
         if moved:
             lines.append(f"{pad}{', '.join(a for a, _ in moved)} = {', '.join(b for _, b in moved)}")
-        elif not code and not recorded:
-            lines.append(f"{pad}pass")
     return [
         *lines,
         "    except Exception as error:",
@@ -56,18 +53,6 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
         "        raise",
         f"    return ({state})",
     ]
-
-
-def _finish(trace: Trace) -> list[str]:
-    lines = ["def finish(k, slots, parameters):", *_locals(trace)]
-    for number, (tick, _) in enumerate(trace.kinds):
-        code, names = _statements(tick.graph, tick.roots, trace)
-        pad = " " * 4
-        if len(trace.kinds) > 1:
-            lines.append(f"{pad}{_condition(trace, number)}:")
-            pad += "    "
-        lines += [pad + line for line in [*code, f"return [{', '.join(names)}]"]]
-    return lines
 
 
 def _locals(trace: Trace) -> list[str]:
@@ -88,43 +73,36 @@ def _condition(trace: Trace, number: int) -> str:
 
 def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[str], list[str]]:
     """Assignments, and the names of the roots. What is used once is written where it is used."""
-    order = graph.order(roots)
+    order, root_nodes = graph.order(roots), set(roots)
     uses = Counter(j for i in order for j in graph.operands(i))
-    root_nodes = set(roots)
     text: dict[int, str] = {}
-    depth: dict[int, int] = {}
     rows: dict[tuple[int, int], str] = {}
     lines: list[str] = []
     for i in order:
         op, *operands = graph.nodes[i]
         if op == "const":
-            text[i], depth[i] = _number(float.fromhex(operands[0])), 0
-            continue
-        if op == "in":
-            text[i], depth[i] = _input(operands[0], len(trace.layout)), 0
-            continue
-        if op == "row":
+            text[i] = _number(float.fromhex(operands[0]))
+        elif op == "in":
+            text[i] = _input(operands[0], len(trace.layout))
+        elif op == "row":
             table, index, column = operands
             if (table, index) not in rows:
                 rows[table, index] = f"r{len(rows)}"
                 width = trace.tables[table].rows.shape[1]
                 columns = "".join(f"{rows[table, index]}_{c}, " for c in range(width))
                 lines.append(f"{columns}= table{table}[int({text[index]})]")
-            text[i], depth[i] = f"{rows[table, index]}_{column}", 0
-            continue
-        if op == "call":
+            text[i] = f"{rows[table, index]}_{column}"
+        elif op == "call":
             lines.append(f"c{i} = routine{operands[0]}({', '.join([text[j] for j in operands[2:]])})")
-            continue
-        if op == "result":
-            text[i], depth[i] = f"c{operands[0]}[{operands[1]}]", 0
-            continue
-        expression = _expression(op, [text[j] for j in operands])
-        depth[i] = 1 + max(depth[j] for j in operands)
-        if uses[i] == 1 and i not in root_nodes and depth[i] < _DEEPEST:
-            text[i] = f"({expression})"
+        elif op == "result":
+            text[i] = f"c{operands[0]}[{operands[1]}]"
         else:
-            text[i], depth[i] = f"v{i}", 0
-            lines.append(f"v{i} = {expression}")
+            expression = _expression(op, [text[j] for j in operands])
+            if uses[i] == 1 and i not in root_nodes and len(expression) < _LONGEST:
+                text[i] = f"({expression})"
+            else:
+                text[i] = f"v{i}"
+                lines.append(f"v{i} = {expression}")
     return lines, [text[i] for i in roots]
 
 

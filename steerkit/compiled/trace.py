@@ -91,11 +91,6 @@ class Trace:
             phases.setdefault(id(tick), []).append(phase)
         return [(self.ticks[own[0]], own) for own in phases.values()]
 
-    def kind(self, k: int) -> int:
-        """Which of `kinds` the tick k is."""
-        phase = k % len(self.ticks)
-        return next(number for number, (_, phases) in enumerate(self.kinds) if phase in phases)
-
     @functools.cached_property
     def read(self) -> set[int]:
         """The inputs that any tick reads: 0 is the tick, then come the slots, then the parameters."""

@@ -68,7 +68,7 @@ def _script(program: Trace, name: str, outputs: Sequence[str], parameters: Seque
             f"from math import inf, nan, {', '.join(sorted(FUNCTIONS))}",
             "from pythonfmu import Fmi2Causality, Fmi2Initial, Fmi2Slave, Fmi2Variability, Real",
             *[f"table{i} = {rows!r}" for i, rows in enumerate(tables)],
-            PythonProgram(program, (), 1).source,
+            PythonProgram(program, range(len(layout)), 1).source,
             f"STEP, CARRIED, START = {loop.dt!r}, {program.persistent!r}, {slots!r}",
             f"AT_START = { {output: slots[slot] for output, (slot, _) in shown.items()}!r}",
             f"FIXED, OUTPUTS = {fixed!r}, {shown!r}",

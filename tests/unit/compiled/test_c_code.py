@@ -13,7 +13,7 @@ import pytest
 
 from steerkit._support import native
 from steerkit.compiled import compile
-from steerkit.compiled.c_code import MANY, ONE, finish_source, run_source, scheduled, table_source
+from steerkit.compiled.c_code import MANY, ONE, run_source, scheduled, table_source
 from steerkit.compiled.graph import BOOLEAN, FUNCTIONS, INFIX, Graph
 from steerkit.compiled.python_code import PythonProgram
 from steerkit.compiled.trace import trace
@@ -109,9 +109,7 @@ def generated() -> dict[str, str]:
         made, recorded = trace(loop), (1, 2)
         found[f"{name} Python"] = PythonProgram(made, recorded, 3).source
         for many in (False, True):
-            found[f"{name} C{' lanes' * many}"] = run_source(made, recorded, many=many) + "".join(
-                finish_source(made, number, many=many) for number in range(len(made.kinds))
-            )
+            found[f"{name} C{' lanes' * many}"] = run_source(made, recorded, many=many)
     return found
 
 
