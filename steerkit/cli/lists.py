@@ -16,12 +16,10 @@ from steerkit.cli.options import Machine
 from steerkit.paths import importers
 from steerkit.paths.courses import course, names
 from steerkit.paths.path import Path as CoursePath
-from steerkit.plants.steering_actuator import steering_in
 from steerkit.plots.course import plot_course
 from steerkit.plots.style import save
 from steerkit.vehicles import VEHICLES, Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
-from steerkit.vehicles.file import tables_of, text_of
 from steerkit.vehicles.fleet import FleetCar
 
 ALSO = {
@@ -146,9 +144,7 @@ def _list(found: importers.Map, file: str, as_json: bool) -> None:
 
 
 def vehicles(
-    having: Annotated[
-        str, typer.Argument(help="Only cars whose name has this in it, such as toyota; or a vehicle file, FILE.toml.")
-    ] = "",
+    having: Annotated[str, typer.Argument(help="Only cars whose name has this in it, such as toyota.")] = "",
     as_json: Machine = False,
 ) -> None:
     """List the cars: those by name, and the fleet of production cars with the steering delay of each.
@@ -157,24 +153,18 @@ def vehicles(
     commands at. One of the fleet can also be drawn: `--vehicle fleet-17` is the car of seed 17.
     """
     rows: list[dict[str, Any]] = []
-    cars: dict[str, tuple[Vehicle, FleetCar | None]] = {}
-    delay: float | None = None
-    if having.endswith(".toml"):
-        cars[having] = vehicle_named(having), None
-        text = text_of(Path(having))
-        delay = steering_in(text, having).delay if "steering" in tables_of(text, having) else None
-    else:
-        known = {name: (car, None) for name, car in VEHICLES.items()}
-        known |= {name: (member.vehicle, member) for name, member in fleet().items()}  # type: ignore[misc]
-        cars = {name: car for name, car in known.items() if having.lower() in name}
-    for name, (car, member) in cars.items():
+    known: dict[str, tuple[Vehicle, FleetCar | None]] = {name: (car, None) for name, car in VEHICLES.items()}
+    known |= {name: (member.vehicle, member) for name, member in fleet().items()}
+    for name, (car, member) in known.items():
+        if having.lower() not in name:
+            continue
         rows.append(
             {
                 "vehicle": name,
                 "mass_kg": car.m,
                 "wheelbase_m": car.wheelbase,
                 "steer_ratio": car.steer_ratio,
-                "steer_delay_s": member.steer_delay if member else delay,
+                "steer_delay_s": member and member.steer_delay,
                 "interface": member and member.interface,
                 "slowest_mps": member and member.slowest,
             }
