@@ -209,10 +209,6 @@ def _columns(loop: Loop, boxes: Sequence[Box], lines: Sequence[Line]) -> list[li
     order = _ordered(tuple(map(loop.names.index, loop.order)), backward)
     for k, block in enumerate(order):
         boxes[block].column = max((boxes[a].column + 1 for a in order[:k] if weight[a, block]), default=0)
-    for k in reversed(range(len(order))):  # one with more wires ahead than behind moves up to those it feeds
-        behind, ahead = order[:k], [b for b in order[k + 1 :] if weight[order[k], b]]
-        if sum(weight[order[k], b] for b in ahead) > sum(weight[a, order[k]] for a in behind):
-            boxes[order[k]].column = min(boxes[b].column for b in ahead) - 1
     last = max(box.column for box in boxes)
     return [[box for box in boxes if box.column == number] for number in range(last + 1)]
 

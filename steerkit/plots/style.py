@@ -6,16 +6,15 @@ opens a window; `figure.savefig(...)`, or show them in a notebook.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-P = ParamSpec("P")
 _CYCLE = "#1f6fa8 #d2691e #3a8258 #8a5aa8 #b8445a #7a6a53 #2a9d9d #a98a1d #5b6f95 #c0579a #6f9a2d #455a64"
 PALETTE = tuple(_CYCLE.split())
 """Colours for one thing beside another, in this order."""
@@ -37,22 +36,17 @@ COLOURS = {
 DPI = 110
 
 
-def style() -> Any:
+@contextmanager
+def style() -> Iterator[None]:
     """A context in which matplotlib draws in the style of `steerkit.mplstyle`."""
     import matplotlib.style
 
-    return matplotlib.style.context(Path(__file__).with_name("steerkit.mplstyle"))
+    with matplotlib.style.context(Path(__file__).with_name("steerkit.mplstyle")):
+        yield
 
 
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """`draw` in that style."""
-
-    @functools.wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with style():
-            return draw(*args, **kwargs)
-
-    return drawn
+styled = style()
+"""A decorator: the function draws in that style."""
 
 
 def save(figure: Figure, file: Any, **options: Any) -> None:
