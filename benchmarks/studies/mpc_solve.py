@@ -68,7 +68,7 @@ def recorded(samples: int, *, horizon: int = 40) -> list[list[float]]:
     for k in range(samples * 5):
         if k % (5 * KICK_EVERY) == 250 % (5 * KICK_EVERY) and k:
             side = KICK if (k // (5 * KICK_EVERY)) % 2 else -KICK
-            x = loop.block_state(state, "car")
+            x = state.x[loop.names.index("car")]
             x = x._replace(x=x.x - side * np.sin(x.psi), y=x.y + side * np.cos(x.psi))  # type: ignore[attr-defined]
             state = loop.with_block_state(state, "car", x._replace(x=float(x.x), y=float(x.y)))
         state, sample = loop.step(state)

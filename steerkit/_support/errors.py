@@ -37,6 +37,12 @@ def optional(module: str, where: str, extra: str) -> Any:
         raise ValueError(f"{where} needs {package}: pip install 'steerkit-control[{extra}]'") from None
 
 
+def nearest(name: str, names: Iterable[str]) -> str:
+    """`; did you mean 'car'?`, or nothing, to end an error with."""
+    near = difflib.get_close_matches(name, list(names), n=1)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
 def known(name: str, names: Iterable[str], where: str, *, also: str = "") -> str:
     """`name` itself, if it is one of `names`; else a ValueError with the nearest and with all that are valid.
 

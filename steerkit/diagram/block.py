@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import functools
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Sequence
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, overload
 
 import numpy as np
 
-from steerkit._support.errors import check_numbers, number
+from steerkit._support.errors import check_numbers, nearest, number
 from steerkit.diagram.units import UNITS
 from steerkit.task import DT
 
@@ -132,9 +131,9 @@ class Block:
             raise TypeError(f"{cls.__name__}: {what}: {', '.join(valid)}")
         for name in kwargs:
             if name not in valid:
-                near = difflib.get_close_matches(name, valid, n=1)
-                hint = f"; did you mean '{near[0]}'?" if near else ""
-                raise TypeError(f"{cls.__name__} has no parameter '{name}'{hint} (parameters: {', '.join(valid)})")
+                raise TypeError(
+                    f"{cls.__name__} has no parameter '{name}'{nearest(name, valid)} (parameters: {', '.join(valid)})"
+                )
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
@@ -198,10 +197,8 @@ class Block:
                 raise AttributeError(name)
             ports = [p.name for p in (*self.inputs, *self.outputs)]
             fields = [f.name for f in dataclasses.fields(self)]
-            near = difflib.get_close_matches(name, ports + fields, n=1)
-            hint = f"; did you mean '{near[0]}'?" if near else ""
             raise AttributeError(
-                f"{type(self).__name__} has no port or parameter '{name}'{hint} "
+                f"{type(self).__name__} has no port or parameter '{name}'{nearest(name, ports + fields)} "
                 f"(inputs: {', '.join(p.name for p in self.inputs) or 'none'}; "
                 f"outputs: {', '.join(p.name for p in self.outputs) or 'none'})"
             )

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit._support.errors import WiringError
+from steerkit._support.errors import WiringError, nearest
 from steerkit._support.files import read_npz, write_npz
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, Port, State, state_like
 from steerkit.diagram.diagnostics import check_outputs, check_state, explained
-from steerkit.diagram.wiring import Call, Place, Wire, Wiring, base_step, nearest
+from steerkit.diagram.wiring import Call, Place, Wire, Wiring, base_step
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -223,10 +223,6 @@ class Loop:
             wires.append((Port(source, spec), before))
             blocks[name] = block
         return Loop(blocks=blocks, wires=wires, dt=self.dt)
-
-    def block_state(self, state: LoopState, name: str) -> State:
-        """The state of one block inside a loop state."""
-        return state.x[self._number(name)]
 
     def with_block_state(self, state: LoopState, name: str, x: State) -> LoopState:
         """`state` with one block's state replaced."""

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import graphlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -196,9 +195,3 @@ def base_step(blocks: Mapping[str, Block], dt: float | None) -> tuple[float, tup
             )
         every.append(round(ratio))
     return base, tuple(every)
-
-
-def nearest(name: str, names: Iterable[str]) -> str:
-    """`; did you mean 'car'?`, or nothing, to end an error with."""
-    near = difflib.get_close_matches(name, list(names), n=1)
-    return f"; did you mean '{near[0]}'?" if near else ""

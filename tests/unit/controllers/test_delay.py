@@ -113,7 +113,7 @@ def test_the_prediction_comes_true(delay: float) -> None:
     n = len(Stanley.of(PASSAT).init())
     said: dict[int, tuple[float, float]] = {}
     for k in range(5 * 160):
-        before = loop.block_state(state, "controller")
+        before = state.x[loop.names.index("controller")]
         state, sample = loop.step(state)
         e = sample["controller_path.e"]
         if k % 5 == 0:
