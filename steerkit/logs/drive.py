@@ -14,7 +14,7 @@ from steerkit._support.errors import require
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import RAD_PER_DEG
 from steerkit.logs.channels import Array
-from steerkit.paths.waypoints import east_north
+from steerkit.paths.waypoints import east_north, stray_ends
 
 PAUSE = 0.25
 """From this time on without a sample [s], or five of its usual steps, a channel pauses."""
@@ -58,6 +58,11 @@ def in_metres(values: dict[str, Array], times: dict[str, Array], notes: list[str
     known &= (lat != 0.0) | (lon != 0.0)  # what a receiver without a fix says
     if "x" in values or not known.any():
         return
+    rows = np.flatnonzero(known)
+    rows = rows[np.concatenate(([True], (np.diff(lat[rows]) != 0.0) | (np.diff(lon[rows]) != 0.0)))]  # one of each fix
+    if why := stray_ends(lat[rows], lon[rows], at[rows]).get(0):
+        known[: rows[1]] = False
+        notes.append(f"left out the first fix: {why}")
     first = int(np.argmax(known))
     east, north = east_north(lat, lon, (lat[first], lon[first])).T
     notes.append(f"x, y: east and north of {lat[first]:.6f}, {lon[first]:.6f} [degrees]")

@@ -292,6 +292,21 @@ def test_positions_become_metres_and_a_receiver_without_a_fix_is_nowhere() -> No
     assert "x, y: east and north of 48.000000, 0.000000" in notes[0]
 
 
+@pytest.mark.parametrize("held", [1, 4])
+def test_a_first_fix_that_is_wrong_is_left_out_and_is_no_origin(held: int) -> None:
+    """Each fix stands in one row, or is held over four."""
+    t, fix = 0.25 * np.arange(80.0), np.arange(80) // held
+    notes: list[str] = []
+    lat, lon = 48.0 + 1e-5 * fix, 9.0 + 2e-5 * np.sin(fix / 5.0)
+    lat[:held] -= 0.5
+    values, times = {"lat_deg": lat, "lon_deg": lon}, {"lat_deg": t, "lon_deg": t}
+    in_metres(values, times, notes)
+    assert np.isnan(values["x"]).tolist() == [True] * held + [False] * (80 - held)
+    assert (values["x"][held], values["y"][held]) == pytest.approx((0.0, 0.0), abs=1e-6)
+    assert np.abs(values["y"][held:]).max() < 100.0
+    assert "left out the first fix: (47.5, 9) [degrees] lies 55501 m from the next position" in notes[0]
+
+
 def test_samples_that_came_out_of_order_are_put_in_order() -> None:
     t = np.arange(0.0, 10.0, 0.05)
     order = np.arange(len(t))
