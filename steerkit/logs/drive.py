@@ -53,7 +53,7 @@ def aligned(values: dict[str, Array], times: dict[str, Array], where: str, notes
 
 def in_metres(values: dict[str, Array], times: dict[str, Array], notes: list[str]) -> None:
     """Latitude and longitude become x (east) and y (north) of the first fix [m], unless there are x and y."""
-    lat, lon, at, _ = (of.pop(key) for of in (values, times) for key in ("lat_deg", "lon_deg"))
+    lat, lon, at, _ = (np.asarray(of.pop(key), dtype=float) for of in (values, times) for key in ("lat_deg", "lon_deg"))
     known = np.isfinite(lat) & np.isfinite(lon) & (np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)
     known &= (lat != 0.0) | (lon != 0.0)  # what a receiver without a fix says
     if "x" in values or not known.any():
@@ -280,6 +280,7 @@ class Drive:
         seconds = float(np.sum(drive.driving)) * dt
         require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
         if not trusted:
+            _check_speeds_unit(drive, t)
             _check_plausible(drive)
         more = [_late(drive)] if drive.turns else [_STRAIGHT]
         return replace(drive, notes=(*drive.notes, *filter(None, more)))
@@ -477,6 +478,49 @@ def _yaw_rate(
     if abs(bias) > 2e-4:
         remarks.append(f"yaw rate: {-bias:+.5f} rad/s, so that its mean is the heading's rate")
     return even["r"] / scale - bias, True, max(deviation, abs(gain / scale - 1.0))
+
+
+def _check_speeds_unit(drive: Drive, t: Array) -> None:
+    """ValueError where v changes between m/s and km/h while the car stands, or in a gap; t: of the rows [s].
+
+    By delta_sw = a r/v + b v r + c, linear least squares over the drive: it leaves 0.35 at most of what it leaves
+    with one unit, and a tenth of the wheel's variance, if v after one of the stops is taken in the other unit.
+    """
+    some = slice(None, None, max(1, round(0.05 / drive.dt)))
+    use, v, r, wheel = (a[some] for a in (drive.driving, drive.v, drive.r, drive.delta_sw))
+    begins = np.flatnonzero(np.diff(use, prepend=False) & use)
+    count: NDArray[np.intp] = np.cumsum(use)
+    enough = int(5.0 / (drive.dt * (some.step or 1)))
+    begins = begins[(count[begins] > enough) & (count[-1] - count[begins] > enough)]
+    if not len(begins) or not drive.turns:
+        return
+
+    def sums(factor: float) -> Array:
+        """Normal equations up to each sample, (n, 4, 4), with v times `factor`."""
+        w = np.maximum(factor * v, 0.1)
+        rows = np.column_stack((r / w, w * r, np.ones(len(v)), wheel)) * use[:, None]
+        return np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)
+
+    def left(both: Array) -> float:
+        g = both[:3, 3]
+        return float(both[3, 3] - g @ np.linalg.lstsq(both[:3, :3], g)[0])
+
+    plain = sums(1.0)
+    whole = plain[-1]
+    least = min(0.35 * left(whole), 0.1 * float(whole[3, 3] - whole[2, 3] ** 2 / whole[2, 2]))
+    other = {factor: sums(factor) for factor in (3.6, 1.0 / 3.6)}
+    found = [
+        (left(plain[k - 1] + scaled[-1] - scaled[k - 1]), factor, k) for factor, scaled in other.items() for k in begins
+    ]
+    best, factor, k = min(found)
+    if best < least:
+        row = int(np.searchsorted(t - t[0], drive.t[some][k]))
+        now, then = ("m/s", "km/h") if factor > 1.0 else ("km/h", "m/s")
+        raise ValueError(
+            f"{drive.name}: v goes with the wheel's angle and the yaw rate as if its unit changed from {then} to {now} "
+            f"at a stop before row {row} of numbers (t = {t[row]:.6g} s); split the file there, and read each part "
+            "with its own unit. To go on as it is: trusted=True (identify: --trust-units)"
+        )
 
 
 def _check_plausible(drive: Drive) -> None:
