@@ -38,7 +38,7 @@ class PortedCar:
     def __init__(self, config: CarConfig, path: Path, *, judge: SafetyJudge | None = None, **more: Any):
         self.config, self.judge = config, judge
         self.car, self.port = ProductionCar(config, path, judge=judge, **more), Port(config)
-        self.due = self.car.t + STEP
+        self.due = self.car.car.t + STEP
         self.update_s = self.apply_s = 0.0
         self.steps = 0
         self.listen: Callable[[Frame], None] = lambda frame: None
@@ -47,11 +47,11 @@ class PortedCar:
     @property
     def next(self) -> float:
         """When the next frame may come [s]."""
-        return min(self.car.next, self.due)
+        return min(self.car.car.next, self.due)
 
-    faults: Any = property(lambda self: self.car.faults)
-    on_path: Any = property(lambda self: self.car.on_path)
-    now: Any = property(lambda self: self.car.now)
+    faults: Any = property(lambda self: self.car.car.faults)
+    on_path: Any = property(lambda self: self.car.car.on_path)
+    now: Any = property(lambda self: self.car.car.now)
 
     def receive(self, t: float, frame_id: int, data: bytes) -> None:
         """A command of the car server."""
@@ -114,10 +114,6 @@ class ProductionWorld:
         """Ask for an angle [rad]."""
         assert self.last is not None
         self.packet(protocol.Request(self.last.t, delta_sw, self.misses))
-
-    def remark(self, text: str) -> None:
-        """Note who steers."""
-        self.packet(protocol.Remark(text))
 
     def note(self, message: protocol.Message) -> None:
         """Note what is believed."""

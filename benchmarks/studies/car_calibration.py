@@ -64,18 +64,18 @@ class Yard:
         self.faults, self.worst, self.driven = list[str](), 0.0, 0
         for link, controls in ((1, True), (OPERATOR, False)):
             self._happens(Link(0.0, link, True))
-            self._say(protocol.Hello(controls), link)
+            self.note(protocol.Hello(controls), link)
         while self.t < 8.0:
             self._step()
         line: Any = self
-        self.watched = Watched(self.config, self._say)
+        self.watched = Watched(self.config, self.note)
         self.guided = Guided(config=self.config, path=path, link=line, minutes=minutes)
         resting = self.guided.follow.resting
         self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=resting.dt))
 
     def calibrated(self, longest: float) -> dict[str, Any]:
         """Drive until all is driven, or for so long [s]; what is found."""
-        self._say(protocol.Command(Order.ARM), OPERATOR)
+        self.note(protocol.Command(Order.ARM), OPERATOR)
         tick, over, end = 0, False, self.t + longest
         while not over and self.t < end:
             self._step()
@@ -95,7 +95,7 @@ class Yard:
 
     def query(self) -> protocol.Snapshot:
         """As a line to the car server has it; so are the next two."""
-        self._say(protocol.Query())
+        self.note(protocol.Query())
         assert self.last is not None
         return self.last
 
@@ -103,14 +103,11 @@ class Yard:
         """Sent once it is computed."""
         assert self.last is not None
         self.t += COMPUTING
-        self._say(protocol.Request(self.last.t, delta_sw, 0))
+        self.note(protocol.Request(self.last.t, delta_sw, 0))
         self.t -= COMPUTING
 
-    def remark(self, text: str) -> None:
-        """Who steers."""
-        self._say(protocol.Remark(text))
-
-    def _say(self, message: Any, link: int = 1) -> None:
+    def note(self, message: Any, link: int = 1) -> None:
+        """Whatever else it is told."""
         self._happens(Packet(self.t, link, protocol.encode(message)))
 
     def _step(self) -> None:
@@ -129,13 +126,13 @@ class Yard:
                 self.last = answer if isinstance(answer, protocol.Snapshot) else self.last
 
     def _operate(self) -> None:
-        self._say(protocol.Beat(), OPERATOR)
+        self.note(protocol.Beat(), OPERATOR)
         machine = self.core.machine
         if machine.mode in (Mode.FAULT, Mode.OVERRIDE):
             self.faults.append(machine.cause)
-            self._say(protocol.Command(Order.ACKNOWLEDGE), OPERATOR)
+            self.note(protocol.Command(Order.ACKNOWLEDGE), OPERATOR)
         elif machine.mode is Mode.READY:
-            self._say(protocol.Command(Order.ENGAGE), OPERATOR)
+            self.note(protocol.Command(Order.ENGAGE), OPERATOR)
 
     def _note(self) -> None:
         assert self.last is not None

@@ -30,7 +30,7 @@ from typing import Any
 
 from steerkit._support.clock import Clock
 from steerkit.car import loop as loops
-from steerkit.car import processes
+from steerkit.car import processes, protocol
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.client import CarClient, CarLost
@@ -55,7 +55,7 @@ def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
         while not over.wait(0.05):
             with contextlib.suppress(CarLost), CarClient(socket_path, controller=False) as link:
                 while not over.wait(0.05 / time_scale):
-                    link.beat()
+                    link.note(protocol.Beat())
 
     thread = threading.Thread(target=beat, name="operator", daemon=True)
     thread.start()

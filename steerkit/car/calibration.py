@@ -19,7 +19,7 @@ from steerkit.car.config import CarConfig
 from steerkit.car.estimates import DOUBTED, DROVE, EARLIER, QUANTITIES, changes, earlier, known_in, report
 from steerkit.car.loop import Follow
 from steerkit.car.panel import Panel
-from steerkit.car.protocol import ESTIMATES
+from steerkit.car.protocol import ESTIMATES, Remark
 from steerkit.car.state_machine import Mode
 from steerkit.diagram import realtime
 from steerkit.estimators.estimate import Estimated
@@ -98,7 +98,7 @@ class Guided:
         return loops.car_loop(self.config, self.path, self.link, controller.block)
 
     def _announce(self, controller: loops.Controller) -> None:
-        self.link.remark(controller.steers.text())
+        self.link.note(Remark(controller.steers.text()))
         if self.say:
             print(self.status(), flush=True)
 

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from steerkit._support.errors import number
 from steerkit.car import protocol
-from steerkit.car.protocol import Snapshot
+from steerkit.car.protocol import Adapted, Filtered, Snapshot
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Out
@@ -89,17 +89,9 @@ class CarClient:
         basis = math.nan if self.last is None else self.last.t
         self._send(protocol.Request(basis, delta_sw, self.misses))
 
-    def remark(self, text: str) -> None:
-        """Note, for the recording, what steers from the next request on."""
-        self._send(protocol.Remark(text))
-
-    def note(self, message: protocol.Estimates | protocol.Adapted | protocol.Filtered) -> None:
-        """Note, for the recording, what was estimated, what a controller believes, or what the safety filter did."""
+    def note(self, message: protocol.Beat | protocol.Remark | protocol.Estimates | Adapted | Filtered) -> None:
+        """Say what moves nothing: that the operator's keys were just read, or what is for the recording."""
         self._send(message)
-
-    def beat(self) -> None:
-        """Say that the operator's keys were just read; see `protocol.Beat`."""
-        self._send(protocol.Beat())
 
     def order(self, order: Order) -> None:
         """Give an order; what comes of it shows in later snapshots and in `refused`."""
@@ -150,7 +142,7 @@ class ReplayLink:
         self.last: Snapshot | None = None
         self.requests: list[tuple[float, float]] = []
         """(basis, delta_sw) asked for."""
-        self.adapted: dict[int, protocol.Adapted] = {}
+        self.adapted: dict[int, Adapted] = {}
         """What a controller believed of the car, by the number of requests before it."""
 
     def query(self) -> Snapshot:
@@ -166,7 +158,7 @@ class ReplayLink:
         assert self.last is not None
         self.requests.append((self.last.t, delta_sw))
 
-    def note(self, message: protocol.Adapted) -> None:
+    def note(self, message: Adapted) -> None:
         """Keep what a controller believes."""
         self.adapted[len(self.requests)] = message
 

@@ -13,24 +13,14 @@ UNIT_FACTORS = {"": 1.0, "1": 1.0, **{unit: one for units in FACTORS.values() fo
 """Units that a signal may be in, and what one of them is in SI."""
 
 
-def _divided(byte: int) -> int:
-    for _ in range(8):
-        byte = ((byte << 1) ^ 0x2F) & 0xFF if byte & 0x80 else byte << 1
-    return byte
-
-
-_TABLE = [_divided(byte) for byte in range(256)]
-
-
 def crc8_2f(data: bytes) -> int:
     """CRC-8 with polynomial 0x2F, start 0xFF, final XOR 0xFF; of b"123456789" it is 0xDF.
 
     Source: AUTOSAR, Specification of CRC Routines, Crc_CalculateCRC8H2F.
     """
-    crc = 0xFF
-    for byte in data:
-        crc = _TABLE[crc ^ byte]
-    return crc ^ 0xFF
+    from crccheck.crc import Crc8Autosar
+
+    return int(Crc8Autosar.calc(data))
 
 
 @dataclass(frozen=True, kw_only=True)

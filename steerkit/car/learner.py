@@ -28,6 +28,7 @@ from steerkit._support.plugins import fingerprints
 from steerkit.car.client import CarClient
 from steerkit.car.config import CarConfig
 from steerkit.car.loop import RUN_FORMAT, Follow, Steers, car_loop, design_model_of, filtered_in, setting_of
+from steerkit.car.protocol import Remark
 from steerkit.controllers.fail_safe import FAULTS
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.loop import Loop
@@ -223,7 +224,7 @@ class CarLearner:
         """Note, for the recording, who steers from here on."""
         how: dict[str, Any] = {"trusted": self.learner_state.trusted, "safe": self.setting.safe}
         steers = Steers.by_policy(self.net_file, self.setting.doe, recovery=self.recovery, **how)
-        self.link.remark(steers.text())
+        self.link.note(Remark(steers.text()))
 
     def _with(self, policy: NfqPolicy) -> Loop:
         return with_controller(self._idle, policy)

@@ -18,7 +18,7 @@ from steerkit._support.plugins import fingerprint, is_outside, named_in
 from steerkit.car.client import CarClient, RealCar
 from steerkit.car.config import CarConfig, course_of
 from steerkit.car.estimates import EVERY
-from steerkit.car.protocol import Adapted, Filtered
+from steerkit.car.protocol import Adapted, Filtered, Remark
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
@@ -353,7 +353,7 @@ def drive(
         follow.choose(run)
         return bool(watch and watch(run))
 
-    link.remark(replace(controller.steers, recovery=recovery).text())
+    link.note(Remark(replace(controller.steers, recovery=recovery).text()))
     return realtime.run(
         follow.resting, duration, timer=clock or Clock(), watch=step, on_miss=lambda run: count_misses(run, link)
     )

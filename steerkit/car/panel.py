@@ -30,7 +30,7 @@ from steerkit._support.clock import Clock
 from steerkit._support.errors import require
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.motion import ASTRAY, HORIZON
-from steerkit.car.protocol import Adapted, Filtered, Snapshot
+from steerkit.car.protocol import Adapted, Beat, Filtered, Snapshot
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.fail_safe import said
 from steerkit.controllers.safety_filter import doubted
@@ -148,7 +148,7 @@ class Panel:
                     said = "let go: this is not in the terminal's foreground"
                     link.order(Order.DISENGAGE)
                 if self._attended and here:
-                    link.beat()
+                    link.note(Beat())
                 snapshot = link.query()
                 engaged, self._engaged = self._engaged, snapshot.mode is Mode.ENGAGED
                 if engaged and not self._engaged:

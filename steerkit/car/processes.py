@@ -116,18 +116,19 @@ def serve_simulated(
     if faults:
         os.set_blocking(faults.fileno(), False)
     end = clock.now() + duration
-    reported = 0.0
+    reported, made = 0.0, car.car if isinstance(car, ProductionCar) else car
+    writer = made.config.writer
     while clock.now() < end and parent in (0, os.getppid()):
-        for frame_id, data in port.wait(clock.wall(car.next - clock.now())):
+        for frame_id, data in port.wait(clock.wall(made.next - clock.now())):
             t = clock.now()
             if isinstance(car, SimulatedCar):
                 car.receive(t, frame_id, data)
-            if log and frame_id == car.config.writer.frame_id:
-                angle, enable, _ = car.config.writer.read(data)
+            if log and frame_id == writer.frame_id:
+                angle, enable, _ = writer.read(data)
                 log.write(f'{{"t": {t!r}, "data": "{data.hex()}", "enable": {int(enable)}, "angle": {angle!r}}}\n')
         now = clock.now()
-        if now - car.t > 1.0:  # the machine stood still; so did the car
-            car.t = now - 0.01
+        if now - made.t > 1.0:  # the machine stood still; so did the car
+            made.t = now - 0.01
         if isinstance(car, ProductionCar):
             assert buses is not None
             for frame in buses.receive():
@@ -142,12 +143,12 @@ def serve_simulated(
             reported = now
             for line in faults.readlines() if faults else ():
                 try:
-                    car.faults.append(fault_of(line, now))
+                    made.faults.append(fault_of(line, now))
                 except ValueError as error:
                     print(error, flush=True)
             if log:
-                place, kit = car.on_path, {"enabled": car.enabled, "timeout": car.timeout}
-                state = {"t": now, "s": place.s, "progress": place.progress, "e": place.e, "v": car.now.v, **kit}
+                place, kit = made.on_path, {"enabled": made.enabled, "timeout": made.timeout}
+                state = {"t": now, "s": place.s, "progress": place.progress, "e": place.e, "v": made.now.v, **kit}
                 log.write(json.dumps(state) + "\n")
                 log.flush()
 

@@ -83,6 +83,13 @@ class Fault:
         return self.start <= t < self.start + self.length
 
 
+def corrupted(data: bytes, dice: random.Random) -> bytes:
+    """With a bit turned over."""
+    broken = bytearray(data)
+    broken[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
+    return bytes(broken)
+
+
 class SimulatedCar:
     """Car, kit, sensors and human; `advance` it in time, `receive` what the bus brings.
 
@@ -276,9 +283,7 @@ class SimulatedCar:
             data = self._last.get(frame_id, data)
         self._last[frame_id] = data
         if self.fault("corrupt", t, target):
-            broken = bytearray(data)
-            broken[self._dice.randrange(len(data))] ^= 1 << self._dice.randrange(8)
-            data = bytes(broken)
+            data = corrupted(data, self._dice)
         if self.fault("drop", t, target):
             return
         delay = self.fault("delay", t, target)

@@ -9,7 +9,7 @@ from steerkit.car import loop as loops
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.loop import Steers, adapted_in
-from steerkit.car.protocol import Adapted
+from steerkit.car.protocol import Adapted, Remark
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from steerkit.scenario.catalogue import make_controller
@@ -26,7 +26,7 @@ def recorded_world(folder: Path, **how: Any) -> World:
     controller = make_controller(NAME, loops.design_model_of(config))
     recorder = recordings.Recording(folder / "drive.mcap", recordings.described(config, path))
     world = World(controller=controller, recorder=recorder, **how)
-    world.remark(Steers(name=NAME).text())
+    world.note(Remark(Steers(name=NAME).text()))
     return world
 
 

@@ -12,6 +12,7 @@ from steerkit.car import loop as loops
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.loop import Steers
+from steerkit.car.protocol import Remark
 from steerkit.car.state_machine import Mode
 from steerkit.controllers.mpc.block import FALLBACK, LATE, PLAN, SOLVED
 from steerkit.scenario.catalogue import CONTROLLERS
@@ -20,7 +21,7 @@ from tests.support.car_world import World, setup
 
 def engaged(block: Any, recorder: recordings.Recording | None = None) -> World:
     world = World(s=120.0, v=(5.0, 6.0), controller=block, recorder=recorder)
-    world.remark(Steers(name="mpc").text())
+    world.note(Remark(Steers(name="mpc").text()))
     world.bring_to(Mode.ENGAGED)
     return world
 

@@ -93,9 +93,6 @@ class World:
         if asked is not None:
             self.packet(protocol.Request(*asked, self.misses))
 
-    def remark(self, text: str) -> None:
-        self.packet(protocol.Remark(text))
-
     def note(self, message: protocol.Message) -> None:
         self.packet(message)
 

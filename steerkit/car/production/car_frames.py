@@ -180,15 +180,12 @@ def _protect_hyundai(name: str, data: bytearray, count: int) -> bytearray:
 
 def _protect_rivian(name: str, data: bytearray, count: int) -> bytearray:
     """Source: opendbc `safety/modes/rivian.h`: counters from 0 to 14, CRC-8 with polynomial 0x1D."""
+    from opendbc.car.rivian.riviancan import checksum
+
     ends = {"ESP_Status": 0xB1, "VDM_PropStatus": 0x9A}
     if name in ends:
         data[1] = data[1] & 0xF0 | count % 15
-        crc = 0
-        for byte in data[1:]:
-            crc ^= byte
-            for _ in range(8):
-                crc = (crc << 1 ^ 0x1D if crc & 0x80 else crc << 1) & 0xFF
-        data[0] = crc ^ ends[name]
+        data[0] = checksum(data[1:], 0x1D, ends[name])
     return data
 
 

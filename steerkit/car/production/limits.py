@@ -38,7 +38,7 @@ class PortLimits:
 
         |v^2 kappa| <= a_y_max,  |v^2 kappa'| <= jerk_max;
 
-    by a curvature as by the first, and besides within a_y_max and within error_max of the measured one; by a torque u
+    by a curvature as by the first, and besides within a_y_max; by a torque u
     (steer_torque_cmd_checks), whose largest change in a frame is up,
 
         |a_y| <= gain (1 - friction),  |a_y'| <= gain up/frame.
@@ -60,8 +60,6 @@ class PortLimits:
     """Fastest change of the lateral acceleration by the table, at the worst of `SPEEDS` [m/s^3]."""
     understeer: float = 0.0
     """What the gate may count on of the car's K [rad s^2/m]: by torque, which cannot do more, and by curvature."""
-    error_max: float = math.inf
-    """By how much a commanded curvature may be off the measured one [1/m]."""
     slew: float | None = None
     """Of a car steered by torque: fastest change of its lateral acceleration that controllers count on [m/s^3]."""
     torque_limit: float | None = None
@@ -137,5 +135,4 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
         turning=_turning(table, vehicle),
         a_y_max=A_Y_MAX - _WORST_ROLL,
         understeer=float(vehicle.understeer_gradient),
-        error_max=float(controls.CURVATURE_ERROR),
     )

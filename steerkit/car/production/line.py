@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import select
 import socket
 import struct
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 from steerkit._support.errors import known
 from steerkit.car.ports import lost, open_bus, python_can
@@ -18,20 +17,9 @@ LINES = ("panda", "python-can", "socket")
 """What a port may reach its car by: `[port] line`."""
 _HEAD = struct.Struct("<IBB")
 """Of a frame in a socket: id, bus, length of the data."""
+_TOGETHER = 500
+"""Frames in a datagram, at most: whatever their length, they fit."""
 _BEAT = 0.3  # s between two heartbeats; a panda without one for seconds no longer lets steer
-
-
-class Line(Protocol):
-    """Frames from the car's buses and to them."""
-
-    def receive(self) -> list[Frame]:
-        """All that has come; at once. Raises OSError when the line is lost."""
-
-    def send(self, frames: Sequence[Frame], *, steering: bool, t: float) -> None:
-        """Frames to the car; steering: do they ask for it?"""
-
-    def close(self) -> None:
-        """Let go of it."""
 
 
 def line_of(table: dict[str, Any], platform: Platform) -> Line:
@@ -51,7 +39,7 @@ def line_of(table: dict[str, Any], platform: Platform) -> Line:
 
 class PandaLine:
     """A panda, by its own library: USB, and the safety code of the platform inside it. Its harness has a relay that
-    puts the computer in the camera's place."""
+    puts the computer in the camera's place. The other lines have the same methods."""
 
     def __init__(self, platform: Platform, serial: str):
         try:
@@ -71,9 +59,11 @@ class PandaLine:
         self._beaten = -1e9
 
     def receive(self) -> list[Frame]:
+        """All that has come; at once. Raises OSError when the line is lost."""
         return [Frame(a, bytes(d), b) for a, d, b in self._panda.can_recv()]
 
     def send(self, frames: Sequence[Frame], *, steering: bool, t: float) -> None:
+        """Frames to the car; steering: do they ask for it?"""
         if frames:
             self._panda.can_send_many([(f.frame_id, f.data, f.bus) for f in frames])
         if t - self._beaten >= _BEAT:
@@ -81,6 +71,7 @@ class PandaLine:
             self._panda.send_heartbeat(steering)
 
     def close(self) -> None:
+        """Let go of it."""
         with contextlib.suppress(Exception):
             self._panda.set_safety_mode(0)  # silent: the car is its maker's again
             self._panda.close()
@@ -126,101 +117,80 @@ class CanLine:
         self._open.close()
 
 
-class Stream:
-    """Frames through a connected TCP socket, whole ones only."""
+def _heard(end: socket.socket) -> Iterator[tuple[bytes, Any]]:
+    """The datagrams that have come, and whose they are; raises OSError where the other end is known and gone."""
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            yield end.recvfrom(65536)
 
-    def __init__(self, end: socket.socket):
-        end.setblocking(False)
-        end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.end, self._text = end, b""
 
-    def read(self) -> list[Frame]:
-        """The frames that have come; raises OSError at the end of the stream."""
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                text = self.end.recv(65536)
-                if not text:
-                    raise OSError("the simulated car is gone")
-                self._text += text
-        frames, at = [], 0
-        while at + _HEAD.size <= len(self._text):
-            frame_id, bus, length = _HEAD.unpack_from(self._text, at)
-            if at + _HEAD.size + length > len(self._text):
-                break
-            at += _HEAD.size
-            frames.append(Frame(frame_id, self._text[at : at + length], bus))
-            at += length
-        self._text = self._text[at:]
-        return frames
+def _datagrams(frames: Sequence[Frame]) -> Iterator[bytes]:
+    for at in range(0, len(frames), _TOGETHER):
+        yield b"".join([_HEAD.pack(f.frame_id, f.bus, len(f.data)) + f.data for f in frames[at : at + _TOGETHER]])
 
-    def write(self, frames: Sequence[Frame]) -> None:
-        """Send them; what does not fit is dropped, as a full adapter does."""
-        text = b"".join([_HEAD.pack(f.frame_id, f.bus, len(f.data)) + f.data for f in frames])
-        while text:
-            try:
-                text = text[self.end.send(text) :]
-            except BlockingIOError:
-                if not select.select((), (self.end,), (), 0.05)[1]:
-                    return
+
+def _frames(text: bytes) -> Iterator[Frame]:
+    at = 0
+    while at + _HEAD.size <= len(text):
+        frame_id, bus, length = _HEAD.unpack_from(text, at)
+        at += _HEAD.size + length
+        yield Frame(frame_id, text[at - length : at], bus)
 
 
 class SocketLine:
-    """A simulated car in another process, at 127.0.0.1:PORT."""
+    """A simulated car in another process, at 127.0.0.1:PORT. What does not fit is dropped, as a full adapter does."""
 
     def __init__(self, address: str):
         host, _, port = address.removeprefix("socket://").rpartition(":")
         if host not in ("127.0.0.1", "localhost") or not port.isdigit():
             raise ValueError(f"[port] channel {address!r}: expected 127.0.0.1:PORT, of a simulated car")
-        self._stream = Stream(socket.create_connection((host, int(port)), timeout=10.0))
+        self._end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._end.setblocking(False)
+        self._end.connect(("127.0.0.1", int(port)))
+        self._end.send(b"")  # so that the car knows where its port is
 
     def receive(self) -> list[Frame]:
-        return self._stream.read()
+        try:
+            return [frame for text, _ in _heard(self._end) for frame in _frames(text)]
+        except ConnectionRefusedError as error:
+            raise OSError("the simulated car is gone") from error
 
     def send(self, frames: Sequence[Frame], *, steering: bool, t: float) -> None:
-        self._stream.write(frames)
+        with contextlib.suppress(BlockingIOError):
+            for text in _datagrams(frames):
+                self._end.send(text)
 
     def close(self) -> None:
-        self._stream.end.close()
+        self._end.close()
 
 
 class SocketServer:
-    """The simulated car's end: serves one port at a time."""
+    """The simulated car's end: serves the port that came last."""
 
     def __init__(self) -> None:
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self._server.setblocking(False)
-        self.channel = f"127.0.0.1:{self._server.getsockname()[1]}"
-        self._stream: Stream | None = None
-
-    @property
-    def ends(self) -> list[socket.socket]:
-        """What to wait for."""
-        return [self._server, *([self._stream.end] if self._stream else [])]
+        self._end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._end.setblocking(False)
+        self._end.bind(("127.0.0.1", 0))
+        self.channel = f"127.0.0.1:{self._end.getsockname()[1]}"
+        self._port: Any = None
 
     def receive(self) -> list[Frame]:
-        """What the port sent; a new port takes the place of the one before."""
-        with contextlib.suppress(BlockingIOError):
-            end, _ = self._server.accept()
-            self._hang_up()
-            self._stream = Stream(end)
-        try:
-            return self._stream.read() if self._stream else []
-        except OSError:
-            self._hang_up()
-            return []
+        """What the port sent."""
+        frames: list[Frame] = []
+        for text, port in _heard(self._end):
+            self._port = self._port if text else port
+            frames += _frames(text) if port == self._port else ()
+        return frames
 
     def send(self, frames: Sequence[Frame]) -> None:
         """Frames to the port, if there is one."""
-        if self._stream:
-            with contextlib.suppress(OSError):
-                self._stream.write(frames)
+        with contextlib.suppress(OSError):
+            for text in _datagrams(frames) if self._port else ():
+                self._end.sendto(text, self._port)
 
     def close(self) -> None:
         """Free the port."""
-        self._hang_up()
-        self._server.close()
+        self._end.close()
 
-    def _hang_up(self) -> None:
-        if self._stream:
-            self._stream.end.close()
-        self._stream = None
+
+Line = PandaLine | CanLine | SocketLine

@@ -13,7 +13,7 @@ from steerkit.car.config import CarConfig
 from steerkit.car.production.car_frames import CarFrames, Said
 from steerkit.car.production.platforms import LateralMap, platform
 from steerkit.car.production.port import REJECTED_BUS, SILENCE, Frame
-from steerkit.car.simulated import BENDS, STEP, Fault, SimulatedCar
+from steerkit.car.simulated import BENDS, STEP, Fault, SimulatedCar, corrupted
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.paths.path import Path
 
@@ -85,28 +85,6 @@ class ProductionCar:
         self._dice = random.Random(int(more.get("seed", 0)))
         self._waiting: list[Frame] = []
 
-    # What `serve_simulated` and the tests look at.
-    config = property(lambda self: self.car.config)
-    faults: Any = property(lambda self: self.car.faults)
-    on_path = property(lambda self: self.car.on_path)
-    now = property(lambda self: self.car.now)
-    enabled = property(lambda self: self.car.enabled)
-    timeout = property(lambda self: self.car.timeout)
-
-    @property
-    def next(self) -> float:
-        """When the next frame may come [s]."""
-        return self.car.next
-
-    @property
-    def t(self) -> float:
-        """Its time [s]."""
-        return self.car.t
-
-    @t.setter
-    def t(self, t: float) -> None:
-        self.car.t = t
-
     def receive(self, t: float, frame: Frame) -> None:
         """A frame of the computer at time t [s]."""
         self.counts.sent += 1
@@ -131,12 +109,12 @@ class ProductionCar:
             self._steer(self.car.t)
             poses += self.car.advance(self.car.t + STEP)
             buses += self._say(self.car.t)
-        reports = self.config.report_frames
+        reports = self.car.config.report_frames
         return [pose for pose in poses if pose[1] not in reports], buses
 
     def _steer(self, t: float) -> None:
         """What the steering makes of the last command: an angle, for the motor at the wheel."""
-        writer, car = self.config.writer, self.config.vehicle
+        writer, car = self.car.config.writer, self.car.config.vehicle
         v = max(float(self.car.now.v), _SLOWEST)
         asked = self._asked if t - self._heard < SILENCE else math.nan
         active = math.isfinite(asked) and not self.car.fault("kit_fault", t)
@@ -152,17 +130,13 @@ class ProductionCar:
                 angle = car.steer_ratio * math.atan(length * asked)
             case _:
                 self.torque = max(-1.0, min(1.0, asked))
-                centre, half = self.lateral.gain * self.torque + self.lateral.offset, self._half
+                centre = self.lateral.gain * self.torque + self.lateral.offset
+                half = self.lateral.gain * self.lateral.friction  # so far friction keeps a_y from following
                 self._a_y = max(centre - half, min(centre + half, self._a_y))
                 angle = car.steer_ratio * math.atan(length * self._a_y / (v * v))
-        limit = self.config.gate.delta_sw_max
+        limit = self.car.config.gate.delta_sw_max
         angle = round(max(-limit, min(limit, angle)) / writer.quantum) * writer.quantum
         self.car.receive(t, writer.frame_id, writer.write(angle, enable=True))
-
-    @property
-    def _half(self) -> float:
-        """By how much friction keeps the lateral acceleration from following the torque [m/s^2]."""
-        return self.lateral.gain * self.lateral.friction
 
     def _say(self, t: float) -> list[Frame]:
         fault: Callable[..., Fault | None] = self.car.fault
@@ -188,7 +162,7 @@ class ProductionCar:
             frames = self._last
         self._last = frames
         if fault("corrupt", t, "report"):
-            frames = [frame._replace(data=self._broken(frame.data)) for frame in frames]
+            frames = [frame._replace(data=corrupted(frame.data, self._dice)) for frame in frames]
         if fault("drop", t, "report"):
             frames = []
         late = fault("delay", t, "report")
@@ -204,8 +178,3 @@ class ProductionCar:
 
     _cruise_from = 0.5
     """Cruise control is engaged so long after the ignition [s]: to be allowed to steer takes an edge."""
-
-    def _broken(self, data: bytes) -> bytes:
-        broken = bytearray(data)
-        broken[self._dice.randrange(len(data))] ^= 1 << self._dice.randrange(8)
-        return bytes(broken)

@@ -18,7 +18,7 @@ from steerkit.car import panel
 from steerkit.car import session as sessions
 from steerkit.car.client import CarLost, ReplayLink
 from steerkit.car.panel import Panel, adapted_line, filter_line, stream, witness_line
-from steerkit.car.protocol import Adapted, Filtered, Snapshot
+from steerkit.car.protocol import Adapted, Beat, Filtered, Snapshot
 from steerkit.car.state_machine import Mode, Order
 from steerkit.logs import foxglove
 
@@ -38,8 +38,8 @@ class Line:
     def __exit__(self, *error: object) -> None:
         """Nothing to close."""
 
-    def beat(self) -> None:
-        self.beats += 1
+    def note(self, message: Beat) -> None:
+        self.beats += isinstance(message, Beat)
 
     def order(self, order: Order) -> None:
         self.orders.append(order)

@@ -1,7 +1,5 @@
 """The line between a port and its car."""
 
-import time
-
 import pytest
 
 pytest.importorskip("opendbc")
@@ -14,8 +12,7 @@ from steerkit.car.production.port import Frame
 def test_frames_cross_a_socket_whole() -> None:
     server = SocketServer()
     line = SocketLine(server.channel)
-    frames = [Frame(0x488, b"\x01\x02\x03\x04", 0), Frame(0x18DAB0F1, bytes(32), 2)]
-    server.receive()
+    frames = 400 * [Frame(0x488, b"\x01\x02\x03\x04", 0), Frame(0x18DAB0F1, bytes(64), 2)]
     line.send(frames, steering=True, t=0.0)
     for _ in range(100):
         if got := server.receive():
@@ -26,8 +23,13 @@ def test_frames_cross_a_socket_whole() -> None:
         if back := line.receive():
             break
     assert back == frames[::-1]
+    other = SocketLine(server.channel)
+    other.send(frames[:1], steering=True, t=0.0)
+    line.send(frames[:2], steering=True, t=0.0)
+    assert server.receive() == frames[:1], "the port that came last has the car to itself"
+    other.close()
     server.close()
-    time.sleep(0.05)
+    line.send(frames[:1], steering=True, t=0.0)
     with pytest.raises(OSError, match="gone"):
         line.receive()
     line.close()

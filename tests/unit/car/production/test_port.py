@@ -39,7 +39,7 @@ def test_a_port_asks_for_nothing_without_a_fresh_command_and_sends_nothing_into_
     assert "command old" in car.port.why
     heard: list[Frame] = []
     car.listen = heard.append
-    car.car.faults.append(Fault(kind="drop", target="report", start=0.0))
+    car.faults.append(Fault(kind="drop", target="report", start=0.0))
     car.advance(car.due + SILENCE + 0.05)
     heard.clear()
     steered(car, 0.3, 0.1)
@@ -101,6 +101,6 @@ def test_the_car_s_own_watchdog_lets_go_when_the_port_no_longer_sends() -> None:
     made = ProductionCar(config("TESLA_MODEL_3"), course("highway"), s=10.0)
     made.receive(0.0, next(frame for frame in heard[::-1] if frame.frame_id == 0x488))
     made.advance(0.05)
-    assert made.enabled
+    assert made.car.enabled
     made.advance(0.05 + SILENCE + 0.05)
-    assert not made.enabled
+    assert not made.car.enabled

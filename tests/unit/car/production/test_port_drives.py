@@ -13,6 +13,7 @@ from benchmarks.run.production import ProductionWorld
 from benchmarks.studies import production_cars as study
 from steerkit.car import processes, recording
 from steerkit.car.client import CarClient
+from steerkit.car.protocol import Beat
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from tests.support.production import config, judged
@@ -96,7 +97,7 @@ def test_a_killed_car_server_leaves_a_production_car_to_its_human(tmp_path: Path
             end = time.monotonic() + 20.0
             while time.monotonic() < end:
                 snapshot = line.query()
-                panel.beat()
+                panel.note(Beat())
                 if math.isfinite(snapshot.delta_sw):
                     line.request(snapshot.delta_sw)
                 order = {Mode.OFF: Order.ARM, Mode.READY: Order.ENGAGE}.get(snapshot.mode)
