@@ -87,7 +87,6 @@ def drive(
     minutes: float,
     scale: float,
     folder: Path,
-    listen: str = "",
     *,
     fifo: bool = False,
     busy: int = 0,
@@ -98,9 +97,7 @@ def drive(
     config = load("dbw-kit.toml")
     path = course_of(config)
     socket, place, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
-    simulated, channel = processes.start_simulated(
-        "dbw-kit.toml", time_scale=scale, log=str(log), listen=listen, seed=seed
-    )
+    simulated, channel = processes.start_simulated("dbw-kit.toml", time_scale=scale, log=str(log), seed=seed)
     with (folder / "server.log").open("w", encoding="utf-8") as text:
         server = processes.start_car_server(
             "dbw-kit.toml", socket, recording=str(place), channel=channel, time_scale=scale, realtime=fifo, log=text
@@ -194,15 +191,7 @@ def compare(options: argparse.Namespace) -> dict[str, Any]:
         for fifo in (False, True):
             with tempfile.TemporaryDirectory() as folder:
                 rows.append(
-                    drive(
-                        options.controller,
-                        minutes(options),
-                        options.time_scale,
-                        Path(folder),
-                        options.listen,
-                        fifo=fifo,
-                        busy=busy,
-                    )
+                    drive(options.controller, minutes(options), options.time_scale, Path(folder), fifo=fifo, busy=busy)
                 )
     names = (
         "sched_fifo",
@@ -307,7 +296,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the learner's nets, and of the human's speed")
     parser.add_argument("--minutes", type=float, default=None, help="of each drive (default 5)")
     parser.add_argument("--time-scale", type=float, default=1.0, help="1 is real time")
-    parser.add_argument("--listen", default="", help="127.0.0.1:0 for TCP instead of a pseudo-terminal")
     parser.add_argument("--fifo", action="store_true", help="controller and car server under SCHED_FIFO")
     parser.add_argument("--load", type=int, default=0, help="processes that compute beside it")
     parser.add_argument("--compare", action="store_true", help="with and without SCHED_FIFO, idle and with --load")
@@ -323,7 +311,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             minutes(options),
             options.time_scale,
             Path(folder),
-            options.listen,
             fifo=options.fifo,
             busy=options.load,
             safe=options.safe,

@@ -783,10 +783,10 @@ def bus_of(channel: str) -> dict[str, Any] | None:
 def check_pace(time_scale: float, bus: dict[str, Any]) -> None:
     """Raise ValueError for time that runs otherwise than in reality on a bus that a real car may be on.
 
-    Without one are the virtual buses, and slcan on a pseudo-terminal or on this machine's own port.
+    Without one are the virtual buses, and slcan on a pseudo-terminal.
     """
     interface, channel = (str(bus.get(key, "")) for key in ("interface", "channel"))
-    simulated = {"slcan": ("/dev/pts/", "socket://127.0.0.1:", "socket://localhost:"), "socketcan": ("vcan",)}
+    simulated = {"slcan": "/dev/pts/", "socketcan": "vcan"}
     if time_scale != 1.0 and interface != "virtual" and not channel.startswith(simulated.get(interface, ())):
         where = f"on {interface}:{channel}: a real car has real time; use --simulated, or a simulated car's channel"
         raise ValueError(f"--time-scale {time_scale:g} {where}")

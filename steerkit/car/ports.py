@@ -6,7 +6,6 @@ import contextlib
 import os
 import re
 import select
-import socket
 import sys
 import tty
 from types import ModuleType
@@ -100,75 +99,37 @@ class BusPort:
 
 
 class SlcanPort:
-    """Serves one slcan client at a time: text frames `tIIILDD..` and a carriage return (Lawicel CAN232 manual).
+    """Serves slcan clients on a pseudo-terminal: text frames `tIIILDD..` and a carriage return (Lawicel CAN232 manual).
 
-    listen: "" for a pseudo-terminal, whose name is `channel`; "127.0.0.1:0" for TCP (`channel` is then a pyserial
-    address such as socket://127.0.0.1:34567). What a client does not read in time is dropped, as an adapter does.
+    `channel` is its name. What a client does not read in time is dropped, as an adapter does.
     """
 
-    def __init__(self, listen: str = ""):
+    def __init__(self) -> None:
         self._text, self._open = b"", contextlib.ExitStack()
-        self._server: socket.socket | None = None
-        self._line: int | None = None
-        """Of the client, if there is one."""
-        if listen:
-            host, port = listen.rsplit(":", 1)
-            if host not in ("127.0.0.1", "localhost"):
-                raise ValueError(f"slcan port {listen!r}: only 127.0.0.1; a simulated car has no business on a network")
-            self._server = self._open.enter_context(socket.create_server((host, int(port))))
-            self._server.setblocking(False)
-            self.channel = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
-        else:
-            self._line, slave = os.openpty()  # the slave stays open here, so that clients may come and go
-            self._open.callback(os.close, slave)
-            tty.setraw(slave)
-            os.set_blocking(self._line, False)
-            self.channel = os.ttyname(slave)
+        self._line, slave = os.openpty()  # the slave stays open here, so that clients may come and go
+        self._open.callback(os.close, self._line)
+        self._open.callback(os.close, slave)
+        tty.setraw(slave)
+        os.set_blocking(self._line, False)
+        self.channel = os.ttyname(slave)
 
     def wait(self, timeout: float) -> list[tuple[int, bytes]]:
         """The frames (id, data) that clients sent, after at most `timeout` [s] without any."""
-        ends: list[Any] = [end for end in (self._server, self._line) if end is not None]
-        ready, _, _ = select.select(ends, [], [], max(0.0, timeout))
-        if self._line in ready:
-            self._text += self._read()
-        if self._server in ready:
-            self._accept()
+        ready, _, _ = select.select([self._line], [], [], max(0.0, timeout))
+        if ready:
+            with contextlib.suppress(BlockingIOError):
+                self._text += os.read(self._line, 65536)
         *lines, self._text = self._text.split(b"\r")
         return [frame for line in lines if (frame := _frame(line))]
 
     def send(self, frame_id: int, data: bytes) -> None:
-        """A frame to the client, if there is one and it has room."""
-        if self._line is not None:
-            with contextlib.suppress(OSError):
-                os.write(self._line, b"t%03X%d%s\r" % (frame_id, len(data), data.hex().upper().encode()))
+        """A frame to the client, if it has room."""
+        with contextlib.suppress(OSError):
+            os.write(self._line, b"t%03X%d%s\r" % (frame_id, len(data), data.hex().upper().encode()))
 
     def close(self) -> None:
         """Free the port."""
-        self._hang_up()
         self._open.close()
-
-    def _hang_up(self) -> None:
-        if self._line is not None:
-            os.close(self._line)
-        self._line, self._text = None, b""
-
-    def _accept(self) -> None:
-        assert self._server is not None
-        self._hang_up()
-        client, _ = self._server.accept()
-        client.setblocking(False)
-        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._line = client.detach()
-
-    def _read(self) -> bytes:
-        assert self._line is not None
-        try:
-            text = os.read(self._line, 65536)
-        except (BlockingIOError, ConnectionResetError):
-            text = b""
-        if not text and self._server:
-            self._hang_up()
-        return text
 
 
 def _frame(line: bytes) -> tuple[int, bytes] | None:

@@ -192,7 +192,6 @@ def server(
 def simulate(
     config: str,
     *,
-    listen: str = "",
     channel: str = "",
     time_scale: float = 1.0,
     ratio: float = 1.0,
@@ -214,7 +213,7 @@ def simulate(
         )
     check_pace(time_scale, arguments or {"interface": "virtual"})
     clock = Clock(scale=time_scale)
-    port = BusPort(arguments) if arguments else SlcanPort(listen)
+    port = BusPort(arguments) if arguments else SlcanPort()
     true = replace(as_told.vehicle, steer_ratio=ratio * as_told.vehicle.steer_ratio)
     kind = ProductionCar if as_told.port else SimulatedCar
     simulated = kind(as_told, path, vehicle=true, t0=clock.now(), **car)

@@ -90,9 +90,8 @@ def show_platforms(
 @app.command()
 def simulate(
     config: Config = "dbw-kit.toml",
-    listen: Annotated[str, typer.Option(help="slcan on 127.0.0.1:PORT; default: on a pseudo-terminal.")] = "",
     channel: Annotated[
-        str, typer.Option(help="INTERFACE:CHANNEL of python-can, such as socketcan:vcan0, in its place.")
+        str, typer.Option(help="INTERFACE:CHANNEL of python-can; default: slcan on a pseudo-terminal.")
     ] = "",
     time_scale: Scale = 1.0,
     ratio: Annotated[float, typer.Option(help="True steering ratio over that of the data sheet.")] = 1.0,
@@ -111,7 +110,7 @@ def simulate(
     A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
     the kinds.
     """
-    bus: dict[str, Any] = {"listen": listen, "channel": channel, "time_scale": time_scale, "log": log}
+    bus: dict[str, Any] = {"channel": channel, "time_scale": time_scale, "log": log}
     car: dict[str, Any] = {"ratio": ratio, "lag": lag, "offset": radians_of(offset_deg), "seed": seed}
     own: dict[str, Any] = {"delay": delay, "v_min": v_min, "v_max": v_max}
     raise typer.Exit(processes.simulate(config, **bus, **car, **{k: v for k, v in own.items() if v is not None}))

@@ -20,15 +20,15 @@ class TorqueFit(NamedTuple):
     seconds: float
 
 
-class Found(NamedTuple):
-    """What was found: a_y = gain u - gain friction sign(da_y/dt) + offset."""
+class LateralMap(NamedTuple):
+    """What a torque does to a car: a_y = gain u - gain friction sign(da_y/dt) + offset."""
 
     gain: float
     """Lateral acceleration at the largest torque [m/s^2]."""
     friction: float
     """The share of the largest torque that friction takes [1]."""
-    offset: float
-    """Lateral acceleration without torque [m/s^2]."""
+    offset: float = 0.0
+    """Lateral acceleration without torque, of a banked road or a wheel off its zero [m/s^2]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,14 +76,14 @@ class TorqueMap:
         row, kept = np.array([u, -float(np.sign(turning)), 1.0]), 1.0 - dt / self.memory
         return TorqueFit(kept * x.A + dt * np.outer(row, row), kept * x.b + dt * row * a_y, x.seconds + dt)
 
-    def found(self, x: TorqueFit) -> Found:
+    def found(self, x: TorqueFit) -> LateralMap:
         """The fit, within what may be believed; the data sheet's until there is enough driving in it."""
         if x.seconds < self.least:
-            return Found(self.gain, self.friction, 0.0)
+            return LateralMap(self.gain, self.friction)
         covariance = np.linalg.inv(x.A + _RIDGE * np.eye(3))
         if self.noise * np.sqrt(covariance[0, 0]) > self.sure * self.gain:
-            return Found(self.gain, self.friction, 0.0)
+            return LateralMap(self.gain, self.friction)
         gain, rubbing, offset = covariance @ x.b
         gain = float(np.clip(gain, (1.0 - self.share) * self.gain, (1.0 + self.share) * self.gain))
         few, many = (max(0.0, 1.0 + side * 2.0 * self.share) * self.friction for side in (-1.0, 1.0))
-        return Found(gain, float(np.clip(rubbing / gain, few, many)), float(np.clip(offset, -1.0, 1.0)))
+        return LateralMap(gain, float(np.clip(rubbing / gain, few, many)), float(np.clip(offset, -1.0, 1.0)))

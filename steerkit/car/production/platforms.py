@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import require
+from steerkit.estimators.torque_map import LateralMap
 
 INSTALL = (
     "a production car is steered through the library opendbc, which is not installed: "
@@ -21,23 +22,6 @@ INSTALL = (
 )
 NOT_CARS = ("mock", "body")
 """Makers in the library's list whose platforms are no cars."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LateralMap:
-    """Lateral acceleration of a car that is steered by a torque u, a share of the largest one.
-
-        a_y = gain u + offset, less friction on the way: gain u moves by `friction` gain before the car follows.
-
-    Source: opendbc `car/interfaces.py`, torque_from_lateral_accel_linear, `car/lateral.py`, get_friction.
-    """
-
-    gain: float
-    """Lateral acceleration at the largest torque [m/s^2]."""
-    friction: float
-    """The share of the largest torque that friction takes [1]."""
-    offset: float = 0.0
-    """Lateral acceleration without torque, of a banked road or a wheel off its zero [m/s^2]."""
 
 
 @dataclass(frozen=True, eq=False)

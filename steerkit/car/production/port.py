@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from steerkit.car.config import CarConfig
 from steerkit.car.production.car_frames import steering_messages
-from steerkit.car.production.platforms import LateralMap, platform
+from steerkit.car.production.platforms import platform
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.torque_map import TorqueMap
 
@@ -110,11 +110,6 @@ class Port:
         """What the library read last of the car, its `CarState`."""
         self.flags: dict[str, bool] = {}
         """What must not be, by the names of the report's signals."""
-
-    @property
-    def lateral(self) -> LateralMap:
-        """What a torque does to this car, as far as it is known."""
-        return LateralMap(**self._map.found(self._fit)._asdict())
 
     def receive(self, t: float, frame: Frame) -> None:
         """A frame of the car's buses at time t [s]; those that a panda gives back are told from them by their bus."""

@@ -7,31 +7,19 @@ import random
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 from steerkit.car.config import CarConfig
 from steerkit.car.production.car_frames import CarFrames, Said
-from steerkit.car.production.platforms import LateralMap, platform
+from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import REJECTED_BUS, SILENCE, Frame
 from steerkit.car.simulated import BENDS, STEP, Fault, SimulatedCar, corrupted
 from steerkit.diagram.units import degrees_of, radians_of
+from steerkit.estimators.torque_map import LateralMap
 from steerkit.paths.path import Path
 
 _SPEED_NOISE = 0.01  # m/s
 _SLOWEST = 1.0  # m/s: below, torque turns the wheel as at this speed
-
-
-class Judge(Protocol):
-    """What stands between computer and car, as a panda does: opendbc's safety code."""
-
-    def tick(self, t: float) -> None:
-        """Time has passed, until t [s]."""
-
-    def receive(self, t: float, frame_id: int, data: bytes, bus: int) -> bool:
-        """A frame of the car; is it in order?"""
-
-    def may_pass(self, t: float, frame_id: int, data: bytes, bus: int) -> bool:
-        """May this frame of the computer go to the car?"""
 
 
 @dataclass
@@ -55,18 +43,13 @@ class ProductionCar:
     """A production car with its human; `receive` what the port sends, `advance` it in time.
 
     config: the car server's. path: where the human drives. lateral: what a torque truly does, where it is steered by
-    one (default: as opendbc has it). judge: sees every frame, and keeps those to the car from it that may not pass; the
-    port gets them back, as a panda does. more: what `SimulatedCar` takes, its delay by default that of opendbc.
+    one (default: as opendbc has it). judge: a panda's safety code, with `tick(t)`, `receive(t, frame_id, data, bus)` of
+    the car's frames (is it in order?) and `may_pass` of those to it; the port gets back what may not. more: what
+    `SimulatedCar` takes, its delay by default that of opendbc.
     """
 
     def __init__(
-        self,
-        config: CarConfig,
-        path: Path,
-        *,
-        lateral: LateralMap | None = None,
-        judge: Judge | None = None,
-        **more: Any,
+        self, config: CarConfig, path: Path, *, lateral: LateralMap | None = None, judge: Any = None, **more: Any
     ):
         self.platform = platform(config.port)
         v_min, v_max = speeds_of(config)

@@ -58,11 +58,6 @@ def test_frames_as_text_in_both_directions() -> None:
         port.close()
 
 
-def test_no_port_on_a_network() -> None:
-    with pytest.raises(ValueError, match=r"only 127\.0\.0\.1"):
-        SlcanPort("0.0.0.0:0")
-
-
 def test_nothing_is_read_from_python_cans_own_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "can.conf").write_text("[default]\nreceive_own_messages = True\n")
     monkeypatch.setenv("HOME", f"{tmp_path}")

@@ -61,7 +61,7 @@ def test_the_command_line_tells_the_same_in_si(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(processes, "simulate", ends_with(0))
     monkeypatch.setattr(processes, "server", ends_with(1))
-    car = {"listen": "127.0.0.1:7", "channel": "virtual:x", "time_scale": 2.0, "ratio": 1.1, "delay": 0.2, "lag": 0.15}
+    car = {"channel": "virtual:x", "time_scale": 2.0, "ratio": 1.1, "delay": 0.2, "lag": 0.15}
     car |= {"seed": 3, "v_min": 4.5, "v_max": 5.5, "log": "heard.jsonl"}
     words = [f"--{name.replace('_', '-')}={value}" for name, value in car.items()]
     assert run("car", "simulate", *words, "--offset-deg=90", monkeypatch=monkeypatch) == 0

@@ -59,7 +59,6 @@ def test_check_prints_what_is_read_and_written(run: Run) -> None:
             ("server", "--channel", "spy:///dev/ttyS0?file=X"),
             "[bus] channel 'spy:///dev/ttyS0?file=X': expected a serial",
         ),
-        (("simulate", "--listen", "0.0.0.0:0"), "only 127.0.0.1"),
         (("simulate", "--ratio", "9"), "steer_ratio = 140.4 [1], expected 1 to 50"),
         (("calibrate", "mine.toml"), "shipped: dbw-kit.toml"),
         (("calibrate", "--out", "mine.csv"), "a vehicle file ends in .toml"),

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from steerkit.car.production.platforms import LateralMap
-from steerkit.estimators.torque_map import TorqueMap
+from steerkit.estimators.torque_map import LateralMap, TorqueMap
 
 
 def test_what_a_torque_does_is_found_while_driving() -> None:

@@ -6,10 +6,11 @@ pytest.importorskip("opendbc")
 
 from benchmarks.run.production import PortedCar, ProductionWorld
 from benchmarks.studies import production_cars as study
-from steerkit.car.production.platforms import LateralMap, platform
+from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import OTHER, REJECTED_BUS, RELEASED, SILENCE, Frame
 from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.simulated import Fault
+from steerkit.estimators.torque_map import LateralMap
 from steerkit.paths.courses import course
 from tests.support.production import config, judged, ported, steered
 
