@@ -134,7 +134,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="change the setting, such as fit.nets=3 or after_failure=shift; may be repeated",
+        help="change the setting, such as fit.nets=3 or after_failure=reset; may be repeated",
     )
     parser.add_argument("--fleet", type=int, default=0, metavar="N", help="N cars of the fleet, 5 minutes each")
     parser.add_argument("--cars", choices=list(KINDS), default=None, help="cars of that kind, 5 minutes each")

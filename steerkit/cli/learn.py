@@ -57,7 +57,7 @@ def learn(
     setting: Annotated[str, typer.Option(help="How to learn: default, paper, bang-bang, ...")] = "default",
     changes: Annotated[
         list[str] | None,
-        typer.Option("--with", metavar="NAME=VALUE", help="Change the setting: fit.nets=3, after_failure=shift, ..."),
+        typer.Option("--with", metavar="NAME=VALUE", help="Change the setting: fit.nets=3, after_failure=reset, ..."),
     ] = None,
     minutes: Annotated[
         str,

@@ -10,7 +10,6 @@ from typing import Any
 from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.safety_filter import doubted
-from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import LoopState, Sample
 from steerkit.diagram.simulation import Recorder
@@ -105,7 +104,6 @@ class LearningRun:
             self._controller(),
             doe=setting.element(scenario.nominal),
             recovery=scenario.recovery_controller(),
-            shift=TargetShift() if setting.after_failure == "shift" else None,
             safety=safety,
             seed=experiment.seed,
         )
@@ -216,11 +214,8 @@ class LearningRun:
 
     def _after_failure(self) -> None:
         learner_state, setting = self.learner_state, self.experiment.setting
-        if setting.after_failure != "shift":
-            learner_state.train(self.t, trusted=False)
-            self.steer()
-        elif not learner_state.trainer.busy:
-            learner_state.train(self.t, trusted=True)
+        learner_state.train(self.t, trusted=False)
+        self.steer()
         self._tell("failed")
         if setting.after_failure == "reset":
             self._put_back(self._value("path.s"))

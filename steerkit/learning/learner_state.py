@@ -339,7 +339,7 @@ class LearnerState:
         value: of a signal of the loop. element: the output element.
         """
         setting, action = self.setting, value("controller.action")
-        if not setting.safe or setting.teaches == "chosen" or value("safety.correction") == 0.0:
+        if not setting.safe or value("safety.correction") == 0.0:
             return action
         return element.action_for(value("safety.delta_sw"), value("doe.state"))
 

@@ -19,8 +19,7 @@ from steerkit.scenario.catalogue import DesignModel, element_kind, make_element
 from steerkit.task import DT, STOP_DEG
 from steerkit.vehicles import Vehicle
 
-AFTER_FAILURE = ("recovery", "reset", "shift")
-TEACHES = ("applied", "chosen")
+AFTER_FAILURE = ("recovery", "reset")
 GOAL = (0.02,) * 2 + (1.0,) + (0.02,) * 3
 """Half-widths of the hints' region. A last one of 1 would mean that any steering angle may be held at psi_e = 0, which
 is wrong where e is measured at the front axle. `paper`, 6 seeds, 11 minutes: 0.02: a round in all, done after 373 s in
@@ -77,9 +76,7 @@ class Setting:
     """Share of samples in which the learner takes an action drawn at random, while it learns (never in test drives)."""
     after_failure: str = "recovery"
     """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops and is put back
-    on the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is ready.
-    `shift`: the target path moves sideways to the car, the old net drives on at once and is trained meanwhile, and the
-    target moves slowly back (`steerkit.controllers.supervisor.TargetShift`)."""
+    on the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is ready."""
     reset_seconds: float = number(20.0, "s", low=0.0)
     """Driving time charged for a reset [s]."""
     safe: bool = False
@@ -87,20 +84,16 @@ class Setting:
     the bound: a policy that had to be corrected for `corrected_seconds` is taken from the wheel and trained anew."""
     corrected_seconds: float = number(0.5, "s", above=0.0)
     """Time for which a policy may be corrected until then [s], in one piece or in several."""
-    teaches: str = "applied"
-    """What a corrected sample teaches: the action that was `applied` in the end, or the one that was `chosen`, which is
-    here to be compared with: from it hardly anything is learned."""
 
     def __post_init__(self) -> None:
         check_numbers(self, "Setting")
         known(self.after_failure, AFTER_FAILURE, "Setting: after_failure")
-        known(self.teaches, TEACHES, "Setting: teaches")
         require(len(self.actions_deg) >= 2, "Setting", f"actions_deg = {self.actions_deg}, expected at least two")
         no_filter = f"after_failure = {self.after_failure!r} with safe, expected recovery"
         require(not self.safe or self.after_failure == "recovery", "Setting", no_filter)
         expected = "expected an element with a method action_for (see steerkit.doe.OutputElement)"
         not_invertible = f"doe = {self.doe!r} with safe, {expected}"
-        require(self._invertible or not self.safe or self.teaches == "chosen", "Setting", not_invertible)
+        require(self._invertible or not self.safe, "Setting", not_invertible)
 
     @cached_property
     def models_recovery(self) -> bool:
@@ -198,7 +191,7 @@ SETTINGS = {s.name: s for s in (DEFAULT, PAPER, MODEL_FREE, BANG_BANG, LOW_PASS,
 def changed(setting: Setting, changes: Iterable[str]) -> Setting:
     """The setting with some values changed, each written as `name=value` or `fit.name=value`, the value as in JSON.
 
-    `changed(DEFAULT, ["fit.nets=3", "after_failure=shift"])`; `cost.goal=0.1` and deeper names work alike. Raises
+    `changed(DEFAULT, ["fit.nets=3", "after_failure=reset"])`; `cost.goal=0.1` and deeper names work alike. Raises
     ValueError for a name that is not there, with the valid ones, and for a value that the setting does not take.
     """
     for change in changes:

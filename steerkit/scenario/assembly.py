@@ -10,7 +10,6 @@ from steerkit._support.errors import WiringError
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.supervisor import ExceptionGuard, Supervisor
-from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.diagnostics import require_block
@@ -48,7 +47,6 @@ def steering_loop(
     sensors: Block | None = None,
     estimator: Block | None = None,
     reference: float = 0.0,
-    shift: TargetShift | None = None,
 ) -> Loop:
     """The standard wires between a car on a path, its driver and its steering controllers.
 
@@ -61,11 +59,10 @@ def steering_loop(
     actuator and the road wheels, and then it says what is measured of the wheel. sensors: what the controllers see of
     the car (none: the truth). safety: a `SafetyFilter` between whoever steers and the wheel; the doe goes on from what
     it lets through; where it fails, the recovery controller steers, if there is one (`FailSafe`). reference: where e is
-    measured, m ahead of the centre of gravity (the front axle is l_f). shift: what the learner and the supervisor take
-    for e (none: the path's).
+    measured, m ahead of the centre of gravity (the front axle is l_f).
 
-    The blocks are named driver, car, link, actuator, column, sensors, path, shift, controller, doe, recovery,
-    foresight, supervisor, safety.
+    The blocks are named driver, car, link, actuator, column, sensors, path, controller, doe, recovery, foresight,
+    supervisor, safety.
     `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
     controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
     output `applied` (a real one) reports the angle that it was commanded in the end; the doe is then `Corrected` by it.
@@ -86,9 +83,7 @@ def steering_loop(
             if learns
             else f"{kind} steers by itself (it has no output 'action'); leave doe out"
         )
-    if foresight is not None and shift is not None:
-        raise WiringError("foresight judges e of the path, shift another; give one of them")
-    for role in ("supervisor", "foresight", "shift"):
+    for role in ("supervisor", "foresight"):
         if given[role] is not None and recovery is None:
             raise WiringError(f"{role} without a recovery controller; give recovery, such as Stanley.of(vehicle)")
     if recovery is not None and "ready" not in _names(controller.outputs):
@@ -120,12 +115,8 @@ def steering_loop(
     if seen is not car:
         tracker = bench.add("seen", PathTracker(path=path, reference=reference, dt=controller.dt))
         bench.join(tracker, seen)
-    if shift is not None:
-        bench.add("shift", shift)
-        bench.wire(tracker, "e", shift, "e_path")
-        bench.wire(tracker, "e_dot", shift, "e_dot_path")
     bench.add("controller", controller)
-    bench.control(controller, tracker, seen, steered, doe, shift)
+    bench.control(controller, tracker, seen, steered, doe)
     command = controller
     if doe is not None:
         command = bench.add("doe", doe)
@@ -135,7 +126,7 @@ def steering_loop(
         bench.control(recovery, tracker, seen, steered, doe)
         judge = bench.add("supervisor", supervisor or _supervisor(controller, doe))
         if foresight is None:
-            bench.wire(shift or tracker, "e", judge, "e")
+            bench.wire(tracker, "e", judge, "e")
         else:
             bench.add("foresight", foresight)
             bench.control(foresight, tracker, seen, steered, doe)
@@ -178,7 +169,6 @@ _EXAMPLES = {
     "column": "SteeringColumn(play=0.02)",
     "sensors": "Sensors.hard(0)",
     "estimator": "VehicleState.of(NonlinearSingleTrack(vehicle=vehicle('vw-passat')))",
-    "shift": "TargetShift()",
 }
 """What would do for a part of the loop."""
 
@@ -264,7 +254,6 @@ class _Bench:
         seen: Block,
         steered: Block,
         doe: Block | None,
-        shift: TargetShift | None = None,
         wired: Collection[str] = (),
     ) -> None:
         """Wires a controller's inputs by name, through a tracker at its own reference point if it asks for one.
@@ -288,8 +277,6 @@ class _Bench:
                 if doe is None:
                     raise WiringError(f"{type(block).__name__}.doe: there is no doe in this loop")
                 self.wire(doe, "state", block, name)
-            elif shift is not None and name in ("e", "e_dot"):
-                self.wire(shift, name, block, name)
             elif name in _names(tracker.outputs):
                 self.wire(tracker, name, block, name)
             elif name in _names(seen.outputs):

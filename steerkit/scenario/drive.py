@@ -11,7 +11,6 @@ from rich.markup import escape
 from rich.table import Table
 
 from steerkit.controllers.supervisor import Supervisor
-from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, Sample, simulate
@@ -30,14 +29,13 @@ def assembled(
     *,
     doe: Block | None = None,
     recovery: Block | None = None,
-    shift: TargetShift | None = None,
     safety: Block | None = None,
     seed: int = 0,
     s: float | None = None,
 ) -> Loop:
     """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
 
-    controller, doe, recovery, shift, safety: as for `steering_loop`. seed: of driver, sensors, gusts and the link's
+    controller, doe, recovery, safety: as for `steering_loop`. seed: of driver, sensors, gusts and the link's
     delays. s: where the car starts [m]; None: where the scenario says.
     Raises what `steering_loop` raises.
     """
@@ -51,7 +49,6 @@ def assembled(
         recovery=recovery,
         supervisor=None if recovery is None else Supervisor(limit=scenario.nominal.delta_sw_max, dt=controller.dt),
         reference=law.reference if own else scenario.ahead,
-        shift=shift,
         safety=safety,
         **blocks,
     )

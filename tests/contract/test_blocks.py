@@ -34,7 +34,6 @@ from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import ExceptionGuard, Supervisor, SupervisorState
-from steerkit.controllers.target_shift import TargetShift
 from steerkit.controllers.with_excitation import WithExcitation
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
@@ -172,7 +171,7 @@ EXAMPLES = [
     Example(NfqPolicy(nets=NETS, preview_points=PREVIEW, forecast=LATE, continuous=True)),
     Example(NfqPolicy(nets=NETS, preview_points=PREVIEW, forecast=FAST), blind=("psi_e",)),
     Example(Exploring(block=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
-    *map(Example, (TargetShift(), PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1)))),
+    Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),
     Example(
         WithElement(block=PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1)), element=LowPass()),
         blind=("delta_sw_meas",),

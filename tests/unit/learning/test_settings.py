@@ -10,8 +10,8 @@ from steerkit.scenario import Scenario
 
 
 def test_settings_are_changed_by_name() -> None:
-    new = changed(DEFAULT, ["fit.nets=2", "after_failure=shift", "cost.goal=0.1", "calm=1", "actions_deg=[-9,0,9]"])
-    assert (new.fit.nets, new.after_failure, new.cost.goal, new.calm) == (2, "shift", 0.1, 1)
+    new = changed(DEFAULT, ["fit.nets=2", "after_failure=reset", "cost.goal=0.1", "calm=1", "actions_deg=[-9,0,9]"])
+    assert (new.fit.nets, new.after_failure, new.cost.goal, new.calm) == (2, "reset", 0.1, 1)
     assert new.actions_deg == (-9, 0, 9)
     assert replace(DEFAULT.fit, nets=2) == new.fit
 
@@ -24,9 +24,8 @@ def test_settings_are_changed_by_name() -> None:
         ("fit=2", "expected FitSetting, or its parts by their names"),
         ("fit.nets.x=2", "'nets' has no parts"),
         ("fit.nets=0", "expected >= 1"),
-        ("after_failure=cry", "valid: recovery, reset, shift"),
+        ("after_failure=cry", "valid: recovery, reset"),
         ("corrected_seconds=0", "corrected_seconds = 0 [s], expected > 0"),
-        ("teaches=cry", "valid: applied, chosen"),
         ("safe=1", "expected bool"),
         ("exploration=2", "exploration = 2 [1], expected 0 to 1"),
     ],
@@ -38,8 +37,8 @@ def test_wrong_changes_are_told(change: str, told: str) -> None:
 
 def test_a_filter_goes_with_the_recovery_controller_only() -> None:
     assert changed(DEFAULT, ["safe=true"]).safe
-    with pytest.raises(ValueError, match="after_failure = 'shift' with safe, expected recovery"):
-        changed(DEFAULT, ["after_failure=shift", "safe=true"])
+    with pytest.raises(ValueError, match="after_failure = 'reset' with safe, expected recovery"):
+        changed(DEFAULT, ["after_failure=reset", "safe=true"])
 
 
 def test_where_torque_steers_no_action_asks_for_more_than_its_slew() -> None:

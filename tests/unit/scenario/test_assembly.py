@@ -12,7 +12,6 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import ExceptionGuard, Supervisor
-from steerkit.controllers.target_shift import TargetShift
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
@@ -103,12 +102,7 @@ def test_a_safety_filter_comes_between_whoever_steers_and_the_wheel() -> None:
     assert tracker.reference == VW_PASSAT.l_f
 
 
-def test_a_shifted_target_and_foresight_come_between() -> None:
-    loop = learning_loop(recovery=Stanley.of(VW_PASSAT), shift=TargetShift())
-    assert loop.inputs_of("shift") == {"e_path": "seen.e", "e_dot_path": "seen.e_dot"}
-    assert {loop.inputs_of("controller")["e"], loop.inputs_of("supervisor")["e"]} == {"shift.e"}
-    assert loop.inputs_of("controller")["e_dot"] == "shift.e_dot"
-    assert loop.inputs_of("recovery") == STANLEY, "it sees the path itself"
+def test_foresight_comes_between() -> None:
     loop = learning_loop(recovery=Stanley.of(VW_PASSAT), foresight=ExcursionPredictor())
     assert loop.inputs_of("supervisor")["e"] == "foresight.distance"
     assert loop.inputs_of("foresight")["doe"] == "doe.state"
