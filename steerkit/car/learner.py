@@ -57,8 +57,8 @@ class CarLearner:
     to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
     of its own trains on what is committed; driving goes on, and the new nets are taken over between two samples; the
     recording notes it each time. Raises ValueError for a directory that holds something else, or a run with another
-    setting, while another process learns there, and for a setting that is for simulations only: actions drawn at
-    random, a car put back by hand, a target that leaves the path.
+    setting, while another process learns there, and for a setting that is for simulations only: a car put back
+    on the path.
     """
 
     def __init__(
@@ -74,9 +74,7 @@ class CarLearner:
         clock: Callable[[], float] | None = time.perf_counter,
     ):
         where = f"setting '{setting.name}' on a car"
-        chance = f"exploration = {setting.exploration}, expected 0: no action at random on a real steering wheel"
-        require(setting.exploration == 0.0, where, chance)
-        after = f"after_failure = '{setting.after_failure}', expected 'recovery'; the others are for simulations"
+        after = f"after_failure = '{setting.after_failure}', expected 'recovery'; the other is for simulations"
         require(setting.after_failure == "recovery", where, after)
         self.setting, self.place, self.link, self.recovery = setting, place, link, recovery
         what = f"{place} is not empty and holds no run of a car (no car.json); choose a new directory"

@@ -8,13 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from steerkit._support.errors import check_numbers, number, require
-from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.safety_filter import doubted
-from steerkit.diagram.block import Block
 from steerkit.diagram.loop import LoopState, Sample
 from steerkit.diagram.simulation import Recorder
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.exploration import Exploring
 from steerkit.learning.learner_state import Counts, LearnerState, state_signals, untrained
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
@@ -101,7 +98,7 @@ class LearningRun:
         self._believed = safety.backup.model.delay if safety else 0.0
         self.loop = assembled(
             scenario,
-            self._controller(),
+            self.policy,
             doe=setting.element(scenario.nominal),
             recovery=scenario.recovery_controller(),
             safety=safety,
@@ -237,13 +234,7 @@ class LearningRun:
 
     def steer(self) -> None:
         """Put the learner's policy into the loop, between two samples; the loop's state goes on."""
-        self.recorder.loop = self.loop = with_controller(self.loop, self._controller())
-
-    def _controller(self) -> Block:
-        share, policy = self.experiment.setting.exploration, self.policy
-        if share and isinstance(policy, NfqPolicy):
-            return Exploring(block=policy, share=share, seed=self.experiment.seed)
-        return policy
+        self.recorder.loop = self.loop = with_controller(self.loop, self.policy)
 
     def _begin_anew(self) -> None:
         """A policy that remembers other things than the one before begins at the output element's present angle."""

@@ -72,8 +72,6 @@ class Setting:
     """|e_dot| below which a new net takes the wheel over from the recovery controller [m/s]: |e| < 0.1 m may be a fast
     crossing, and then it fails at once. 0.3 spares half of the first ten failures under `hard` conditions."""
 
-    exploration: float = number(0.0, low=0.0, high=1.0)
-    """Share of samples in which the learner takes an action drawn at random, while it learns (never in test drives)."""
     after_failure: str = "recovery"
     """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops and is put back
     on the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is ready."""

@@ -44,7 +44,6 @@ from steerkit.estimators.steering_delay import WheelDelay, YawDelay
 from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.gym.task import Agent
-from steerkit.learning.exploration import Exploring
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.disturbed_plant import DisturbedPlant
@@ -170,7 +169,6 @@ EXAMPLES = [
     Example(NfqPolicy(nets=NETS, combine="disagreement")),
     Example(NfqPolicy(nets=NETS, preview_points=PREVIEW, forecast=LATE, continuous=True)),
     Example(NfqPolicy(nets=NETS, preview_points=PREVIEW, forecast=FAST), blind=("psi_e",)),
-    Example(Exploring(block=NfqPolicy(nets=NETS), share=0.5, seed=3), single=_seeded),
     Example(PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1))),
     Example(
         WithElement(block=PolicyBlock(policy=Network(layers=LAYERS), actions=(-0.1, 0.0, 0.1)), element=LowPass()),

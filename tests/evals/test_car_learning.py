@@ -195,9 +195,8 @@ def test_the_output_element_ends_at_the_stops_of_the_cars_wheel(tmp_path: Path) 
 
 def test_what_is_for_simulations_stays_there(tmp_path: Path) -> None:
     world = World()
-    for change in ("exploration=0.1", "after_failure=reset"):
-        with pytest.raises(ValueError, match=r"on a car: .*expected"):
-            learner_of(world, tmp_path / "run", changed(TINY, [change]))
+    with pytest.raises(ValueError, match=r"on a car: .*expected"):
+        learner_of(world, tmp_path / "run", changed(TINY, ["after_failure=reset"]))
     assert not (tmp_path / "run").exists()
 
 

@@ -78,9 +78,7 @@ def q_slices(policy: NfqPolicy, scenario: Scenario, *, v: float = 6.0, doe: floa
     Slices go through the car on the path at v [m/s], wheel at doe [rad]; what hangs together moves together (`states`).
     """
     n, names, actions = 241, policy.description.names, sorted(policy.actions)
-    figure, axes = _grid(
-        2, 3, f"{title or 'NfqPolicy'}: Q-values around the path at {v:.1f} m/s", height=5.8, sharey=True
-    )
+    figure, axes = _grid(2, 3, f"{title or 'NfqPolicy'}: Q-values around the path at {v:.1f} m/s", height=5.8)
     for axis, name in zip(axes.flat, names):
         x = np.linspace(3.0, 9.0, n) if name == "v" else np.linspace(-SPANS[name], SPANS[name], n)
         where = {"v": v, "doe": doe} | {"psi" if name == "psi_e" else name: x}
@@ -129,9 +127,7 @@ def policy_map(
     shades = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in colours], dtype=np.uint8)
     look: dict[str, Any] = {"extent": (-TRIP, TRIP, -10.0, 10.0), "origin": "lower", "aspect": "auto"}
     top = max(float(values.min(axis=0).max()) for values in q)
-    figure, axes = _grid(
-        2, len(q), f"{title or 'NfqPolicy'}: what the net does at {v:.1f} m/s", height=6.8, sharey=True
-    )
+    figure, axes = _grid(2, len(q), f"{title or 'NfqPolicy'}: what the net does at {v:.1f} m/s", height=6.8)
     seen = dict(zip(names, (visited or Transitions(names)).s.T))
     for (above, below), doe, values in zip(axes.T, doe_deg, q):
         course = course_angle(scenario, radians_of(doe))
@@ -174,7 +170,7 @@ def _action_colours(actions: Sequence[float]) -> list[str]:
     return [*right, *(["#b4bcc4"] * (0.0 in actions)), *left[::-1]]
 
 
-def _grid(rows: int, columns: int, title: str, *, height: float, sharey: bool) -> tuple[Figure, Any]:
+def _grid(rows: int, columns: int, title: str, *, height: float) -> tuple[Figure, Any]:
     figure, (only,) = new_figure(title=title, width=10.5, height=height)
     figure.delaxes(only)
-    return figure, figure.subplots(rows, columns, squeeze=False, sharey=sharey)
+    return figure, figure.subplots(rows, columns, squeeze=False, sharey=True)

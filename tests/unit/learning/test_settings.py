@@ -27,7 +27,6 @@ def test_settings_are_changed_by_name() -> None:
         ("after_failure=cry", "valid: recovery, reset"),
         ("corrected_seconds=0", "corrected_seconds = 0 [s], expected > 0"),
         ("safe=1", "expected bool"),
-        ("exploration=2", "exploration = 2 [1], expected 0 to 1"),
     ],
 )
 def test_wrong_changes_are_told(change: str, told: str) -> None:
