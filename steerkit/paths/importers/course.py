@@ -289,12 +289,12 @@ def smoothed(points: Array, noise: float, *, closed: bool) -> tuple[Any, float, 
     u = travelled(ring)
     along = np.gradient(ring, u, axis=0)[:n]
     for _ in range(3):
-        end = float(u.max())
+        at, end = u[:n], float(u.max())
         span = float(np.clip(max(np.median(np.diff(u)), 4.0 * noise), *_SPAN))
         cells = int(np.clip(math.ceil(end / span), 2 * _DEGREE, _MOST))
         h = end / cells
         knots = h * np.arange(-_DEGREE, cells + _DEGREE + 1)
-        basis = BSpline.design_matrix(np.clip(u[:n], 0.0, end * (1.0 - 1e-12)), knots, _DEGREE)
+        basis = BSpline.design_matrix(np.minimum(at, end * (1.0 - 1e-12)), knots, _DEGREE)
         wide = cells + _DEGREE
         third = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(wide - 3, wide)) / h**2.5
         if closed:  # the last five coefficients are the first five again
@@ -303,17 +303,13 @@ def smoothed(points: Array, noise: float, *, closed: bool) -> tuple[Any, float, 
         beside = np.column_stack((-along[:, 1], along[:, 0])) / np.hypot(*along.T)[:, None]
         c, shown = _weighed(basis, third, points, beside, noise, end)
         curve = BSpline(knots, np.vstack((c, c[:_DEGREE])) if closed else c, _DEGREE)
-        fine = np.linspace(0.0, end, 20 * cells + 1)
-        arc = travelled(curve(fine))
-        at = np.clip(u[:n], 0.0, end)
         along = curve(at, 1)
         foot = np.clip(at + ((points - curve(at)) * along).sum(axis=1) / (along**2).sum(axis=1), 0.0, end)
-        before, u = foot, np.interp(foot, fine, arc)
-        u = np.append(u - u[0], arc[-1]) if closed else u - u.min()
-        if closed:
-            u[:n] %= arc[-1]
-    begin, last = (0.0, end) if closed else (float(before.min()), float(before.max()))
-    return lambda z, order=0: curve(begin + z, order), last - begin, np.maximum.accumulate(before - begin), shown
+        fine = np.linspace(0.0, end, 20 * cells + 1)
+        u = np.interp(np.append(foot, end) if closed else foot, fine, travelled(curve(fine)))
+        u -= 0.0 if closed else u.min()
+    begin, last = (0.0, end) if closed else (float(foot.min()), float(foot.max()))
+    return lambda z, order=0: curve(begin + z, order), last - begin, np.maximum.accumulate(foot - begin), shown
 
 
 def _weighed(basis: Any, third: Any, points: Array, beside: Array, noise: float, end: float) -> tuple[Array, float]:
@@ -341,11 +337,8 @@ def _weighed(basis: Any, third: Any, points: Array, beside: Array, noise: float,
         return c, residual - noise**2 * left * (1.0 + 2.0 * math.sqrt(2.0 / n)), math.sqrt(residual / left)
 
     ratio = float(normal.diagonal().mean() / penalty.diagonal().mean())
-    high, least = math.log(_STIFFEST * ratio), math.log(_SOFTEST * ratio)
-    while high > least and solved(high - 1.0)[1] > 0.0:
-        high -= 1.0
-    low = high - 1.0
-    for _ in range(10):
+    low, high = math.log(_SOFTEST * ratio), math.log(_STIFFEST * ratio)
+    for _ in range(16):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if solved(middle)[1] > 0.0 else (middle, high)
     c, _, shown = solved(low)
