@@ -105,9 +105,7 @@ class Path:
         positions that are out of range, swapped or in radians.
         """
         columns = {"lat": np.asarray(lat_deg, dtype=float), "lon": np.asarray(lon_deg, dtype=float)}
-        xy, origin = placed(columns, f"Path '{name}'")
-        path = cls.from_waypoints(xy, closed=closed, smoothing=smoothing, spacing=spacing, name=name)
-        return dataclasses.replace(path, origin_deg=origin)
+        return cls.of_columns(columns, f"Path '{name}'", closed=closed, smoothing=smoothing, spacing=spacing, name=name)
 
     @classmethod
     def from_csv(
@@ -172,21 +170,6 @@ class Path:
         """The same curve driven the other way; what was left is right."""
         flip = np.tile([1.0, -1.0], _DEGREE + 1)  # w -> -w
         return dataclasses.replace(self, table=Table(self.table.rows[::-1] * flip))
-
-    def started_at(self, s: float) -> Path:
-        """The path with s = 0 at the present `s` [m]: a closed path turned, an open one with its beginning cut off.
-
-        Raises ValueError unless 0 <= s <= length (open: leaving at least a metre).
-        """
-        longest = self.length if self.closed else self.length - 1.0
-        if not 0.0 <= s <= longest:
-            raise ValueError(f"{self!r}: started_at s = {s} [m], expected 0 <= s <= {longest:g}")
-        left = self.length if self.closed else self.length - s
-        n = max(_FEWEST_SEGMENTS, math.ceil(left / self.h - 1e-9))
-        u = np.linspace(0.0, left, n + 1)
-        curve = _spline(u, self.point(s + u), _DEGREE, self.closed)
-        path = self._of_curve(curve, left, self.closed, left / n * (1.0 + 1e-9), self.name)
-        return dataclasses.replace(path, origin_deg=self.origin_deg)
 
     # -- evaluating ---------------------------------------------------------------------------------------------
 

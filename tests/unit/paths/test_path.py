@@ -123,19 +123,6 @@ def test_reversed_is_the_same_curve_the_other_way(name):
     assert np.allclose(np.cos(back.psi(path.length - s) - path.psi(s)), -1.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(("name", "left"), [("paper", 0.0), ("genesis-rfs", 123.4)])
-def test_started_at_moves_the_start(name, left):
-    path = courses.course(name)
-    later = path.started_at(123.4)
-    s = np.linspace(0.0, path.length - 123.4, 500)
-    assert (later.closed, later.length) == (path.closed, pytest.approx(path.length - left, abs=1e-4))
-    assert np.allclose(later.point(s), path.point(123.4 + s), atol=1e-4)
-    assert np.allclose(later.kappa(s), path.kappa(123.4 + s), atol=1e-4)
-    assert not path.closed or len(later.table.rows) == len(path.table.rows)
-    with pytest.raises(ValueError, match=r"started_at s = .* \[m\], expected 0 <= s"):
-        path.started_at(-1.0 if path.closed else path.length - 0.9)
-
-
 @pytest.mark.parametrize("name", ["paper", "genesis-rfs"])
 def test_a_csv_file_gives_the_path_back(name, tmp_path):
     path = courses.course(name)
