@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
 
+from steerkit._support.errors import known
 from steerkit._support.plugins import fingerprint, is_outside
 from steerkit.diagram.block import Block
 from steerkit.plants.linear_single_track import LinearSingleTrack
@@ -152,8 +152,4 @@ def controller(name: str) -> Controller:
     if is_outside(name):
         about = f"{name}, SHA-256 {fingerprint(name, 'controller')}"
         return Controller(name=name, kind="own", about=about, make=_catalogued(name))
-    if name not in CONTROLLERS:
-        near = difflib.get_close_matches(name, CONTROLLERS, n=1, cutoff=0.4)
-        hint = f"; did you mean '{near[0]}'?" if near else ""
-        raise ValueError(f"controller '{name}' is not known{hint} (valid: {', '.join(CONTROLLERS)}, {OWN})")
-    return CONTROLLERS[name]
+    return CONTROLLERS[known(name, CONTROLLERS, "controller", also=OWN)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from benchmarks.foreign_cars import foreign_scenarios
 from benchmarks.run.results import case_id
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import MULTI_BODY, scene, unlike_the_data_sheet
+from steerkit._support.errors import known
 from steerkit.scenario import Scenario
 from steerkit.scenario.scenario import tables
 
@@ -311,11 +311,7 @@ SUITES: dict[str, Callable[[], Suite]] = {
 
 def suite(name: str) -> Suite:
     """The suite of that name; raises ValueError with the nearest and the valid names."""
-    if name not in SUITES:
-        near = difflib.get_close_matches(name, SUITES, n=1, cutoff=0.4)
-        hint = f"; did you mean '{near[0]}'?" if near else ""
-        raise ValueError(f"suite '{name}' is not known{hint} (valid: {', '.join(SUITES)})")
-    return SUITES[name]()
+    return SUITES[known(name, SUITES, "suite")]()
 
 
 def elsewhere(one: Suite, *, course: str = "", vehicle: str = "", controllers: Sequence[str] = ()) -> Suite:

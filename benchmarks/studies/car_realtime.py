@@ -153,7 +153,6 @@ def drive(
         same_asked += replays.replayed_requests(drive, config, path)
     heard = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
     times = [h["t"] for h in heard if h.get("enable") == 1]
-    print(realtime.histogram_text(timing))
     return {
         "controller": controller,
         "minutes": minutes,

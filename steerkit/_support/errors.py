@@ -38,9 +38,9 @@ def optional(module: str, where: str, extra: str) -> Any:
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """`; did you mean 'car'?`, or nothing, to end an error with."""
-    near = difflib.get_close_matches(name, list(names), n=1)
-    return f"; did you mean '{near[0]}'?" if near else ""
+    """` (did you mean 'car'?)`, or nothing, for an error."""
+    near = difflib.get_close_matches(name, list(names), n=1, cutoff=0.4)
+    return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 def known(name: str, names: Iterable[str], where: str, *, also: str = "") -> str:
@@ -51,9 +51,8 @@ def known(name: str, names: Iterable[str], where: str, *, also: str = "") -> str
     valid = list(names)
     if name in valid:
         return name
-    near = difflib.get_close_matches(name, valid, n=1, cutoff=0.4)
-    hint = f" (did you mean '{near[0]}'?)" if near else ""
-    raise ValueError(f"{where} '{name}' is not known{hint}; valid: {', '.join(valid)}{', ' if also else ''}{also}")
+    expected = f"{', '.join(valid)}{', ' if also else ''}{also}"
+    raise ValueError(f"{where} '{name}' is not known{nearest(name, valid)}; valid: {expected}")
 
 
 def require_within(
@@ -123,12 +122,13 @@ def whole_samples(where: str, name: str, value: Any, dt: float) -> int:
     return n
 
 
-def in_one_line(error: Exception) -> str:
-    """An error in one line: what, where, and the notes that it was given on its way."""
-    text = str(error.args[0] if isinstance(error, KeyError) else error)
+def in_one_line(error: Exception, *, foreign: bool = False) -> str:
+    """An error in one line: what, where, the notes that it was given on its way; of `foreign` code, its kind too."""
+    text = str(error.args[0] if isinstance(error, KeyError) and error.args else error)
     if isinstance(error, OSError) and error.strerror:
         name = f"{error.filename}: " if error.filename is not None else ""
         text = f"{name}{error.strerror}"
-    notes = getattr(error, "__notes__", ()) if isinstance(error, OSError) else ()
-    line = " ".join("; ".join([text, *notes]).split("\n"))
+    kind = f"{type(error).__name__}: " if foreign and not isinstance(error, WiringError) else ""
+    notes = getattr(error, "__notes__", ()) if foreign or isinstance(error, OSError) else ()
+    line = " ".join("; ".join([f"{kind}{text}", *notes]).split("\n"))
     return "".join(sign if sign.isprintable() else f"{sign!r}"[1:-1] for sign in line)  # a terminal obeys some of these

@@ -32,7 +32,7 @@ from steerkit.car.panel import Panel
 from steerkit.car.processes import OF
 from steerkit.car.protocol import Adapted, Filtered, digest
 from steerkit.car.state_machine import Order
-from steerkit.diagram.realtime import Run, Timing, histogram_text, preferred
+from steerkit.diagram.realtime import Run, Timing, preferred
 from steerkit.learning.rundir import this_process
 from steerkit.learning.settings import Setting
 from steerkit.scenario.catalogue import AUTO, RECOVERIES
@@ -262,8 +262,6 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
 def finished(here: Session, run: Run) -> dict[str, Any]:
     """The figures of a session that has ended, printed too; raises OSError if its car server ended badly."""
     figures = run.timing.summary()
-    if not here.options.quiet:
-        print(histogram_text(run.timing))
     print(", ".join(f"{k} {v:.3g}" for k, v in figures.items()))
     if not here.options.quiet:
         print("\n".join(here.watched.report()))

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from steerkit._support.console import console
-from steerkit._support.errors import require
+from steerkit._support.errors import in_one_line, require
 from steerkit._support.files import write_text
 from steerkit._support.plugins import fingerprint, is_outside
 from steerkit.car import loop as loops
@@ -30,7 +30,6 @@ from steerkit.cli.options import (
     scenario_of,
     streamed,
 )
-from steerkit.diagram.diagnostics import in_one_line
 from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
@@ -156,7 +155,7 @@ def _drive(name: str, scenario: Scenario, **how: Any) -> Log:
     except Exception as error:
         if not is_outside(name):
             raise
-        raise ValueError(f"controller '{name}' failed: {in_one_line(error)}") from error
+        raise ValueError(f"controller '{name}' failed: {in_one_line(error, foreign=True)}") from error
 
 
 NOTE = "drive.json"

@@ -132,7 +132,7 @@ class Block:
         for name in kwargs:
             if name not in valid:
                 raise TypeError(
-                    f"{cls.__name__} has no parameter '{name}'{nearest(name, valid)} (parameters: {', '.join(valid)})"
+                    f"{cls.__name__} has no parameter '{name}'{nearest(name, valid)}; parameters: {', '.join(valid)}"
                 )
         return super().__new__(cls)
 
@@ -198,9 +198,9 @@ class Block:
             ports = [p.name for p in (*self.inputs, *self.outputs)]
             fields = [f.name for f in dataclasses.fields(self)]
             raise AttributeError(
-                f"{type(self).__name__} has no port or parameter '{name}'{nearest(name, ports + fields)} "
-                f"(inputs: {', '.join(p.name for p in self.inputs) or 'none'}; "
-                f"outputs: {', '.join(p.name for p in self.outputs) or 'none'})"
+                f"{type(self).__name__} has no port or parameter '{name}'{nearest(name, ports + fields)}; "
+                f"inputs: {', '.join(p.name for p in self.inputs) or 'none'}; "
+                f"outputs: {', '.join(p.name for p in self.outputs) or 'none'}"
             )
 
 

@@ -112,13 +112,6 @@ def _answer(block: Block) -> str:
     return f"self.Y({', '.join(f'{name}=...' for name in block.Y._fields)})"
 
 
-def in_one_line(error: BaseException) -> str:
-    """An exception of user code in one line, with the notes that say where."""
-    text = " ".join(str(error).split())
-    kind = "" if isinstance(error, WiringError) else f"{type(error).__name__}: "
-    return "; ".join([f"{kind}{text}", *getattr(error, "__notes__", ())])
-
-
 def check_outputs(name: str, block: Block, y: Any, shape: tuple[int, ...] | None = None) -> None:
     """Raise WiringError unless `y`, what the block of that name in a loop answered, is its outputs: as many numbers.
 

@@ -7,7 +7,6 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 
@@ -158,16 +157,3 @@ def preferred(*, threads: bool = False) -> str:
             "machine is busy"
         )
     return "SCHED_FIFO 50: granted"
-
-
-def histogram_text(timing: Timing, width: int = 40) -> str:
-    """The jitter histogram in powers of two of a tenth of a millisecond, as text."""
-    edges = [0.0, *(1e-4 * 2.0**i for i in range(9)), math.inf]
-    at = (np.arange(_BINS) + 0.5) * BIN
-    rows = []
-    total = max(1, timing.steps)
-    for low, high in pairwise(edges):
-        count = int(timing.histogram[(at >= low) & (at < high)].sum())
-        label = f"{1e3 * low:5.1f} to {1e3 * high:5.1f} ms" if high < math.inf else f"{1e3 * low:5.1f} ms and more"
-        rows.append(f"{label:18s} {count:8d} {'#' * round(width * count / total)}")
-    return "\n".join(rows)

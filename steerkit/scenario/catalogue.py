@@ -10,7 +10,7 @@ from dataclasses import MISSING, dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from steerkit._support.errors import check_numbers, known, number, require
+from steerkit._support.errors import check_numbers, in_one_line, known, number, require
 from steerkit._support.plugins import imported, is_outside
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
@@ -21,7 +21,6 @@ from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import BEHIND_GATE, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
-from steerkit.diagram.diagnostics import in_one_line
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator, LowPass, OutputElement, PlainAngle, WithElement
 from steerkit.estimators.single_track_filter import SingleTrackFilter
@@ -346,7 +345,7 @@ def _own(name: str, design_model: DesignModel) -> Block:
     try:
         block = make(design_model)
     except Exception as error:
-        raise ValueError(f"{where} failed: {in_one_line(error)}") from error
+        raise ValueError(f"{where} failed: {in_one_line(error, foreign=True)}") from error
     expected = "expected a Block with an output delta_sw [rad], or a policy and its element, such as Integrator()"
     if isinstance(block, tuple) and len(block) == 2 and isinstance(block[1], OutputElement):
         block = WithElement(block=block[0], element=block[1])

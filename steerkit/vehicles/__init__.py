@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 
+from steerkit._support.errors import nearest
 from steerkit.vehicles.file import text_of, vehicle_of
 from steerkit.vehicles.fleet import FleetCar, drawn_car, fleet
 from steerkit.vehicles.parameters import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, G, Vehicle, require_vehicle, scaled
@@ -41,8 +41,7 @@ def vehicle(name: str) -> Vehicle:
     if drawn := re.fullmatch(r"fleet-(\d{1,18})", key):
         return drawn_car(int(drawn[1])).vehicle
     if key not in fleet():
-        near = difflib.get_close_matches(key, [*VEHICLES, *fleet()], n=1, cutoff=0.4)
-        hint = f" (did you mean '{near[0]}'?)" if near else ""
+        hint = nearest(key, [*VEHICLES, *fleet()])
         valid = f"{', '.join(VEHICLES)}, a car of the fleet (steerkit vehicles), fleet-17, FILE.toml"
         raise ValueError(f"vehicle: '{name}' is not known{hint}; valid: {valid}")
     return fleet()[key].vehicle

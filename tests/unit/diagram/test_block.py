@@ -55,7 +55,7 @@ def test_a_block_is_printed_in_a_few_lines_however_many_numbers_it_holds() -> No
 
 
 def test_a_parameter_is_named_and_known() -> None:
-    with pytest.raises(TypeError, match=r"^Gain has no parameter 'gain'; did you mean|^Gain has no parameter 'gain' "):
+    with pytest.raises(TypeError, match=r"^Gain has no parameter 'gain'; parameters: dt, k$"):
         Gain(gain=2.0)  # type: ignore[call-arg]
     with pytest.raises(TypeError, match=r"^Gain: 2 arguments without a name, expected parameters by name: dt, k$"):
         Gain(1.0, 2.0)  # type: ignore[misc]

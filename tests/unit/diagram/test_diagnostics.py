@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit._support.errors import WiringError
+from steerkit._support.errors import WiringError, in_one_line
 from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram.block import Block, In, Out
-from steerkit.diagram.diagnostics import check_outputs, check_state, explained, in_one_line, place_of
+from steerkit.diagram.diagnostics import check_outputs, check_state, explained, place_of
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from tests.support.parts import Count, Gain
@@ -48,7 +48,7 @@ def test_the_block_and_its_line_are_found_at_the_start_and_later(late: float) ->
     line = half.__code__.co_firstlineno + 1
     assert (place.text, place.line) == ("fragile.output (Fragile)", f"line {line} of test_diagnostics.py")
     assert f"in {place.text}, {place.line}" in error.__notes__
-    assert in_one_line(error).startswith("ZeroDivisionError: float division by zero; ")
+    assert in_one_line(error, foreign=True).startswith("ZeroDivisionError: float division by zero; ")
 
 
 def test_an_error_of_no_block_is_left_as_it_is() -> None:
@@ -56,7 +56,7 @@ def test_an_error_of_no_block_is_left_as_it_is() -> None:
         half(1.0)
     assert place_of(error.value, {"gain": Gain()}) is None
     assert explained(error.value, {"gain": Gain()}) is None
-    assert in_one_line(error.value) == "ZeroDivisionError: float division by zero"
+    assert in_one_line(error.value, foreign=True) == "ZeroDivisionError: float division by zero"
 
 
 def test_a_block_is_named_as_the_loop_names_it() -> None:

@@ -249,7 +249,7 @@ def test_a_block_and_its_state_can_be_replaced() -> None:
     assert moved.x[loop.names.index("count")] == (100.0,)
     assert state.x[loop.names.index("count")] == (10.0,)
     assert simulate(loop, 0.1, state=moved)["count.n"].tolist() == [100.0, 101.0]
-    with pytest.raises(KeyError, match="no block 'cont'; did you mean 'count'"):
+    with pytest.raises(KeyError, match=r"no block 'cont' \(did you mean 'count'"):
         loop.with_block("cont", Count())
     with pytest.raises(AttributeError, match="Wave has no port or parameter 'n'"):
         loop.with_block("count", Wave())
@@ -270,7 +270,7 @@ def test_signals_are_found_by_name_and_by_port() -> None:
     assert not any(key in sample for key in ("gain.z", "gain", Count().n))
     assert repr(count.n) == "Count.n [m]"
     assert repr(loop) == "Loop(count, gain, total, late; 3 wires; dt = 0.05 s)"
-    with pytest.raises(KeyError, match=r"no signal 'gain.z'; did you mean 'gain.y'"):
+    with pytest.raises(KeyError, match=r"no signal 'gain.z' \(did you mean 'gain.y'"):
         loop.locate("gain.z")
     with pytest.raises(KeyError, match=re.escape("Count.n [m] belongs to a block that is not in this loop")):
         loop.locate(Count().n)
@@ -285,7 +285,7 @@ def test_a_loop_says_what_drives_a_block_and_in_which_order_blocks_compute() -> 
     assert loop.inputs_of("picker") == {"state": "doe.state"}
     assert loop.order == ("picker", "doe")  # doe's state is known earlier, its angle is not
     assert Loop(blocks={"count": Count()}, wires=[]).inputs_of("count") == {}
-    with pytest.raises(KeyError, match="no block 'dow'; did you mean 'doe'"):
+    with pytest.raises(KeyError, match=r"no block 'dow' \(did you mean 'doe'"):
         loop.inputs_of("dow")
 
 
@@ -306,7 +306,7 @@ def test_a_block_settles_as_if_a_sample_were_the_first() -> None:
     state = loop.init()
     assert loop.settled("ball", state.y) == (1.0,)
     assert loop.settled("hill", [(7.0,), (0.0,)]) == (7.0,)
-    with pytest.raises(KeyError, match="no block 'bell'; did you mean 'ball'"):
+    with pytest.raises(KeyError, match=r"no block 'bell' \(did you mean 'ball'"):
         loop.settled("bell", state.y)
 
 

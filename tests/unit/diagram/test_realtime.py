@@ -12,7 +12,7 @@ import pytest
 from steerkit._support.clock import Clock
 from steerkit.diagram.block import Block, Out
 from steerkit.diagram.loop import Loop
-from steerkit.diagram.realtime import BIN, Run, Timing, histogram_text, preferred, run
+from steerkit.diagram.realtime import BIN, Run, Timing, preferred, run
 
 
 class Hand(Clock):
@@ -141,14 +141,6 @@ def test_jitter_comes_from_the_histogram() -> None:
     assert math.isnan(Timing(period=0.05).jitter(0.5))
     assert timing.jitter(0.5) >= 1e-4 - 1e-12, "half of them stayed below it"
     assert timing.jitter(0.99) >= 5e-3 - 1e-12
-    text = histogram_text(timing)
-    assert sum(int(line.split("ms")[-1].replace("and more", "").split()[0]) for line in text.splitlines()) == 1000
-    assert [line.split("ms")[0].split() for line in text.splitlines()][:2] == [
-        ["0.0", "to", "0.1"],
-        ["0.1", "to", "0.2"],
-    ]
-    assert text.splitlines()[-1].startswith(" 25.6 ms and more")
-    assert max(text.splitlines(), key=len).endswith(f"     985 {'#' * 39}")
     assert timing.summary()["steps"] == 1000
 
 

@@ -95,7 +95,7 @@ def test_chosen_signals_by_name_and_by_port() -> None:
     log = simulate(LOOP, 1.0, record=["gain.y", LOOP.blocks["wave"].v])
     assert list(log) == ["gain.y", "wave.v"]
     assert log.units == {"gain.y": "m", "wave.v": "m"}
-    with pytest.raises(KeyError, match=r"no signal 'gain.z'; did you mean 'gain.y'"):
+    with pytest.raises(KeyError, match=r"no signal 'gain.z' \(did you mean 'gain.y'"):
         simulate(LOOP, 1.0, record=["gain.z"])
 
 

@@ -99,7 +99,7 @@ def test_it_holds_no_steerkit_and_is_valid(fmu: Path) -> None:
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:
-    with pytest.raises(KeyError, match=r"no signal 'path\.f'; did you mean 'path\."):
+    with pytest.raises(KeyError, match=r"no signal 'path\.f' \(did you mean 'path\."):
         export_fmu(loop(), tmp_path / "Drive.fmu", outputs=["path.f"])
     with pytest.raises(ValueError, match=r"the ending \.fmu"):
         export_fmu(loop(), tmp_path / "a drive.fmu", outputs=["path.e"])
