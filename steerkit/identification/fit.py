@@ -23,6 +23,7 @@ from steerkit.compiled import compile
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.simulation import Log
+from steerkit.estimators.estimate import NORMAL_95
 from steerkit.logs.drive import Array, Drive, moments
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
@@ -357,7 +358,8 @@ def identify(
     theta = steer_ratio, offset, delay, lag, cornering compliances d_f and d_r (K = d_f - d_r), and the yaw rate's
     zero where no heading gives it. sigma^2 is the residual's variance times its integrated correlation time in
     samples, found by repetition. The covariance is the sandwich H^-1 S H^-1, H = J'J/sigma^2 + P, S from sums of the
-    scores over blocks longer than that correlation; intervals are 95 % of Student's t with (blocks - 1) degrees.
+    scores over blocks longer than that correlation, or from the residual's autocorrelation, whichever says more;
+    intervals are 95 % of Student's t with (blocks - 1) degrees.
 
     base: the car whose mass, inertia and geometry are taken as given (default: vw-passat): the yaw rate determines
     ratio times wheelbase and stiffness over mass, never the two apart. fixed: parameters to hold. known: (mean,
@@ -370,9 +372,9 @@ def identify(
     table = _believed(base, known or {}, fixed or {}, drive)
     problem = _Problem(Simulator(drive, base), table)
     theta, sigma, correlation = problem.solve()
-    covariance, blocks, parts = problem.covariance(theta, sigma)
+    covariances, blocks, parts = problem.covariance(theta, sigma)
     values = problem.held | dict(zip(problem.free, theta.tolist()))
-    estimates = problem.estimates(values, covariance, blocks, parts)
+    estimates = problem.estimates(values, covariances, blocks, parts)
     c_f, c_r = map(float, stiffnesses(base, values["d_f"], values["d_r"]))
     found = {"name": name or f"{base.name}-identified", "steer_ratio": values["steer_ratio"], "c_f": c_f, "c_r": c_r}
     return Identified(
@@ -381,11 +383,11 @@ def identify(
         drive=drive,
         base=base,
         theta=values,
-        covariance=covariance,
+        covariance=covariances[1],
         free=problem.free,
         fit=predict(problem.simulator, values),
         correlation_time=correlation,
-        notes=problem.notes(values, covariance, estimates),
+        notes=problem.notes(values, covariances[1], estimates),
     )
 
 
@@ -453,28 +455,28 @@ class _Problem:
             )
             theta = solution.x
             error = self.linearised(theta)[0]
-            correlation, _ = self._correlation_times(error)
+            correlation = dt * (2.0 * float(np.sum(self._autocorrelation(error))) - 1.0)
             sigma = max(moments(error)[0], 1e-7) * math.sqrt(correlation / dt)
             if abs(sigma / before - 1.0) < 0.02:
                 break
         return theta, sigma, correlation
 
-    def _correlation_times(self, error: Array) -> tuple[float, float]:
-        """dt (1 + 2 sum of autocorrelations until they have died out), and when they have, below 0.05 [s].
-
-        Gaps count for nothing.
-        """
+    def _autocorrelation(self, error: Array) -> Array:
+        """Of the residual by lag in samples, until it has died out, below 0.05; gaps count for nothing."""
         drive = self.simulator.drive
         full, mask = np.zeros(len(drive.v)), np.zeros(len(drive.v))
         full[self.use], mask[self.use] = error, 1.0
         size = 2 * len(full)  # by FFT in NumPy: SciPy's signal package takes a third of a second to load
         products, counts = (np.fft.irfft(np.abs(np.fft.rfft(a, size)) ** 2)[: len(full) // 2] for a in (full, mask))
         rho = products / np.maximum(counts, 1.0) / max(products[0] / counts[0], 1e-300)
-        crossing = int(np.argmax(rho <= 0.05)) or len(rho)
-        return float(drive.dt * (1.0 + 2.0 * np.sum(rho[1:crossing]))), drive.dt * crossing
+        return rho[: int(np.argmax(rho <= 0.05)) or len(rho)]
 
-    def covariance(self, theta: Array, sigma: float) -> tuple[Array, int, list[tuple[Array, Array]]]:
-        """(sandwich covariance (p, p), number of blocks, by how much each third moves theta and its covariance)."""
+    def covariance(self, theta: Array, sigma: float) -> tuple[tuple[Array, Array], int, list[tuple[Array, Array]]]:
+        """(Two sandwich covariances (p, p), number of blocks, by how much each third moves theta and its covariance).
+
+        The first has the sums of the scores over blocks, whatever errors go with; the second the residual's variance
+        and autocorrelation, whose slow part blocks cut off: var(J'e) = sum_kl J_k J_l rho_|k-l| var(e).
+        """
         error, slopes = self.linearised(theta)
         for i in np.flatnonzero((theta <= self.low) | (theta >= self.high)):
             # at a bound the tangent may be flat (a lag of 0): the secant to half a prior deviation inside shows more
@@ -486,7 +488,8 @@ class _Problem:
         prior = np.diag(self.deviation**-2.0)
         bread = np.linalg.inv(slopes.T @ slopes / sigma**2 + prior)
         dt, n = self.simulator.drive.dt, len(self.use)
-        length = int(min(max(1.0, BLOCK * self._correlation_times(error)[1]) / dt, n / BLOCKS))
+        rho = self._autocorrelation(error)
+        length = int(min(max(1.0, BLOCK * dt * len(rho)) / dt, n / BLOCKS))
         scores = np.add.reduceat(slopes * error[:, None] / sigma**2, length * np.arange(n // length))
         blocks = len(scores)
         sums, squares = scores.sum(axis=0), np.cov(scores.T).reshape(prior.shape)
@@ -495,12 +498,18 @@ class _Problem:
             own = np.linalg.inv(some.T @ some / sigma**2 + prior)
             moved = -own @ (scores[rows].sum(axis=0) - sums * len(rows) / blocks)
             parts.append((moved, own @ (squares * len(rows) + prior) @ own))
-        return bread @ (squares * blocks + prior) @ bread, blocks, parts
+        full = np.zeros((2 * len(self.simulator.drive.v), len(theta)))
+        full[self.use] = slopes / sigma**2
+        spectrum = 2.0 * np.fft.rfft(rho, len(full)).real - 1.0
+        near = np.fft.irfft(np.fft.rfft(full, axis=0) * spectrum[:, None], len(full), axis=0)
+        together = moments(error)[0] ** 2 * full.T @ near
+        by_blocks, by_correlation = (bread @ (s + prior) @ bread for s in (squares * blocks, together))
+        return (by_blocks, by_correlation), blocks, parts
 
     def estimates(
-        self, values: dict[str, float], covariance: Array, blocks: int, parts: list[tuple[Array, Array]]
+        self, values: dict[str, float], covariances: tuple[Array, Array], blocks: int, parts: list[tuple[Array, Array]]
     ) -> tuple[Estimate, ...]:
-        """Each parameter and what follows from them, linearised; wider where the log's thirds contradict each other.
+        """Each parameter and what follows from them, linearised, by the larger covariance; wider where thirds disagree.
 
         By the variance between them, as for studies that differ; source: DerSimonian, Laird 1986.
         """
@@ -529,7 +538,8 @@ class _Problem:
         estimates = []
         for name, value, unit, slopes, note in rows:
             g = np.array([slopes.get(n, 0.0) for n in free])
-            deviation, prior = (math.sqrt(g @ m @ g) for m in (covariance, before))
+            *both, prior = (math.sqrt(g @ m @ g) for m in (*covariances, before))
+            deviation = max(both)
             steady = True
             if parts and prior > 0.0:
                 apart, weights = (
@@ -541,14 +551,17 @@ class _Problem:
                 between = max(0.0, excess) / float(weights.sum() - weights @ weights / weights.sum())
                 steady = excess + len(parts) - 1 <= CONTRADICTION
                 deviation = min(math.hypot(deviation, math.sqrt(between)), max(prior, deviation))
-            deviation = math.hypot(deviation, beside.get(name, 0.0))
-            learned = max(0.0, 1.0 - (deviation / prior) ** 2) if prior > 0.0 else math.nan
+            untold = beside.get(name, 0.0)
+            half = math.hypot(factor * deviation, NORMAL_95 * untold)
+            learned = max(0.0, 1.0 - (deviation**2 + untold**2) / prior**2) if prior > 0.0 else math.nan
+            if untold > deviation:
+                learned = min(learned, 0.9)
             if name == "rate_zero" and math.isnan(learned):
                 continue
-            low, high = value - factor * deviation, value + factor * deviation
+            low, high = value - half, value + half
             if name in ("c_f", "c_r"):  # the interval of the compliance, turned over: it stays positive
                 key = "d_f" if name == "c_f" else "d_r"
-                half = factor * deviation * values[key] / value
+                half *= values[key] / value
                 ends = np.clip([values[key] + half, values[key] - half], table[key].low, table[key].high)
                 low, high = value * values[key] / ends
             elif name == "lag":
