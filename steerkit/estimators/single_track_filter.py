@@ -25,7 +25,7 @@ _OUTLIER = 3.0
 """Standard deviations beyond which a sample counts for less."""
 _GAP = radians_of(1.0)
 """Half of the free play whose loop is a number of the filter [rad]."""
-_SOFT, _SATURATES = 6e-4, 5e-4
+_SOFT, _SATURATES = 2e-4, 7.5e-4
 """Deviations of the understeer gradient for tyres that give way in tight bends, and much sooner [rad s^2/m]."""
 _CORRELATED = 0.15
 """For how long the errors of r hang together [s]."""
@@ -118,7 +118,7 @@ class SingleTrackFilter(Block):
     """Its standard deviation [1]."""
     gyro_scale: float = number(0.05, "1", low=0.0, high=0.5)
     """Standard deviation of the gyro's scale, which looks like another ratio [1]."""
-    bank: float = number(0.05, "rad", low=0.0, high=0.5)
+    bank: float = number(0.045, "rad", low=0.0, high=0.5)
     """That of a bank that lasts, which looks like another offset [rad]."""
     memory: float = number(50_000.0, "s", low=1.0, high=1e6)
     """Time of driving after which what was learned of ratio, understeer and play counts for 1/e [s]."""
