@@ -4,12 +4,15 @@ Parts: `made`, drives of 120 s at 5 to 25 m/s, each of another car, integrated h
 saturate as tanh; no model of steerkit's) with bank (2 +- 2 %, changing over 30 s), wind (0.03 g, 4 s), a gyro whose
 scale is 0.9 to 1.1, a yaw rate whose clock is early or late by up to 0.2 s, white and coloured noise (1 and 5 s); every
 second one has a heading. Geometry, mass and inertia are known, ratio and tyres 20 % wrong. `shipped`: the two laps, cut
-into thirds (of equal driving; a third too short for `identify` is left out), each pair of thirds compared.
+into thirds (of equal driving; a third too short for `identify` is left out), each pair of thirds compared. `online`:
+the made drives again, 0.2 s later (no filter knows what comes), through `YawDelay` and `SingleTrackFilter`, after 60 s
+and at their end.
 
-`hold_pct`: of the told intervals (source neither `prior` nor `unsteady`), how many hold the truth (`shipped`: how many
-differences of two are within the interval of a difference); `told_pct`: how many are told; `width`: their median.
+`hold_pct`: of the told intervals (source neither `prior` nor `unsteady`; `online`: of all), how many hold the truth
+(`shipped`: how many differences of two are within the interval of a difference); `told_pct`: how many are told
+(`online`: valid); `width`: their median.
 
-    python -m benchmarks study intervals [--drives 200] [--parts made shipped] [--quick] [--json]
+    python -m benchmarks study intervals [--drives 200] [--parts made shipped online] [--quick] [--json]
 """
 
 from __future__ import annotations
@@ -25,16 +28,20 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from steerkit.estimators.estimate import NORMAL_95, estimated
+from steerkit.estimators.single_track_filter import SingleTrackFilter
+from steerkit.estimators.steering_delay import YawDelay
 from steerkit.identification import Drive, identify, shipped_drives
 from steerkit.identification.fit import Identified
 from steerkit.logs import read_drive
 from steerkit.logs.drive import LEAST, SETTLE
+from steerkit.task import DT as TASK_DT
 from steerkit.vehicles import VW_PASSAT, Vehicle
 
 Array = NDArray[np.float64]
-PARTS = ("made", "shipped")
+PARTS = ("made", "shipped", "online")
 NAMES = ("steer_ratio", "ratio_wheelbase", "understeer_gradient", "delay_lag", "offset")
-G, DT, SECONDS = 9.81, 0.02, 120.0
+G, DT, SECONDS, SHIFT = 9.81, 0.02, 120.0, 0.2
 
 
 def coloured(rng: np.random.Generator, n: int, time: float) -> Array:
@@ -116,6 +123,41 @@ def thirds(name: str) -> list[Identified]:
     return found
 
 
+def online(drives: list[tuple[Drive, Vehicle, dict[str, float]]]) -> list[tuple[str, str, bool, bool, float, float]]:
+    """What the estimators of a drive say while it lasts; all drives as one batch."""
+    at = np.arange(0.0, SECONDS - TASK_DT, TASK_DT)
+    signals: dict[str, Array] = {}
+    for name in ("delta_sw", "v", "r", "psi"):
+        recorded = [getattr(drive, name) for drive, _, _ in drives]
+        late = at - SHIFT if name in ("r", "psi") else at
+        rows = [np.interp(late, d.t, x) if x is not None else np.nan * at for (d, _, _), x in zip(drives, recorded)]
+        signals[name] = np.array(rows).T.copy()
+    ways = YawDelay(vehicle=VW_PASSAT, earliest=-SHIFT), SingleTrackFilter(vehicle=VW_PASSAT, held=False)
+    xs = [block.init((len(drives),)) for block in ways]
+    found = []
+    for k, t in enumerate(at):
+        delay, told = ys = [block.output(t, x, ()) for block, x in zip(ways, xs)]
+        if k in (round(60.0 / TASK_DT), len(at) - 1):
+            for name, (y, port, scale, shift) in {
+                "steer_ratio": (told, "ratio", VW_PASSAT.steer_ratio, 0.0),
+                "understeer_gradient": (told, "understeer", 1.0, 0.0),
+                # a held command is half a sample late
+                "delay_lag": (delay, "delay_lag", 1.0, 0.5 * TASK_DT - SHIFT),
+                "offset": (told, "offset", 1.0, 0.0),
+            }.items():
+                value, deviation, valid = (np.broadcast_to(part, (len(drives),)) for part in estimated(y, port))
+                errors = scale * value + shift - np.array([truth[name] for _, _, truth in drives])
+                widths = 2.0 * NORMAL_95 * scale * deviation
+                part = f"online, {t:.0f} s"
+                for ok, error, width in zip(valid, errors.tolist(), widths.tolist()):
+                    found.append((part, name, bool(ok), abs(error) <= 0.5 * width, width, error))
+        u = {name: values[k] for name, values in signals.items()} | {"active": np.ones(len(drives))}
+        u |= {"delta_sw_cmd": u["delta_sw"], "delay": delay.delay + 0.5 * TASK_DT, "lag": delay.lag}
+        u |= {"delay_deviation": delay.delay_lag_deviation}
+        xs = [b.update(t, x, b.U(*[u[p.name] for p in b.inputs]), y) for b, x, y in zip(ways, xs, ys)]
+    return found
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick is six drives and no log."""
     parser.add_argument("--drives", type=int, default=200, help="how many made drives (200)")
@@ -125,9 +167,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All parts, and their table."""
     rows = list[tuple[str, str, bool, bool, float, float]]()  # part, name, told, holds, width, error
+    numbers = range(6 if options.quick else options.drives) if {"made", "online"} & {*options.parts} else range(0)
+    drives = [made(number) for number in track(numbers, "drives", console=Console(stderr=True))]
+    if "online" in options.parts:
+        rows += online(drives)
     if "made" in options.parts:
-        for number in track(range(6 if options.quick else options.drives), "drives", console=Console(stderr=True)):
-            drive, base, truth = made(number)
+        for number, (drive, base, truth) in track(enumerate(drives), "fits", len(drives), console=Console(stderr=True)):
             found = identify(drive, base)
             part = "made, with heading" if number % 2 else "made, gyro alone"
             for name in NAMES:
@@ -146,10 +191,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     answer: dict[str, Any] = {}
     for part, name in dict.fromkeys(row[:2] for row in rows):
         mine = [row for row in rows if row[:2] == (part, name)]
-        known = [row for row in mine if row[2]]
+        known = [row for row in mine if row[2] or part.startswith("online")]
         hold = 100.0 * float(np.mean([row[3] for row in known])) if known else float("nan")
         width, error = (float(np.median([abs(float(row[k])) for row in known or mine])) for k in (4, 5))
-        share = 100.0 * len(known) / len(mine)
+        share = 100.0 * float(np.mean([row[2] for row in mine]))
         hold_or_none = None if np.isnan(hold) else hold
         answer[f"{part}: {name}"] = {"told_pct": share, "hold_pct": hold_or_none, "width": width, "error": error}
         table.add_row(part, name, f"{share:.0f}", f"{hold:.0f}", f"{width:.3g}", f"{error:.3g}")
