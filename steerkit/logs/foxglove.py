@@ -47,15 +47,6 @@ def shown_as(names: Iterable[str]) -> dict[str, str]:
     return first | {f"/signals/{name.replace('.', '/')}": name for name in known}
 
 
-def by_topic(shown: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """What belongs to the names `/topic/field`, by topic and field."""
-    topics: dict[str, dict[str, Any]] = {}
-    for name, what in shown.items():
-        topic, _, field = name.rpartition("/")
-        topics.setdefault(topic, {})[field] = what
-    return topics
-
-
 LAYOUTS = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
 """The layouts that ship: where the car is, e, the wheel, the states."""
 BEGIN = 1_700_000_000_000_000_000
@@ -108,8 +99,9 @@ class Topics:
     def begin(self, names: Sequence[str]) -> None:
         """The signals that come, in their order; the layouts' names are made of theirs."""
         place = {name: k for k, name in enumerate(names)}
-        shown = shown_as(names)
-        self._topics = by_topic({name: place[source] for name, source in shown.items()})
+        for name, source in shown_as(names).items():
+            topic, _, field = name.rpartition("/")
+            self._topics.setdefault(topic, {})[field] = place[source]
         for topic, fields in self._topics.items():
             self._open(topic, "number", sorted(fields))
         if {"x", "y"} <= self._topics.get("/car", {}).keys():

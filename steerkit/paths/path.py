@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from steerkit._support.files import read_text, write_text
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar, Table
-from steerkit.paths.waypoints import check_metres, checked, place_deg, placed, read_columns, ring, travelled
+from steerkit.paths.waypoints import check_metres, checked, placed, read_columns, ring, travelled
 
 Array = NDArray[np.float64]
 
@@ -268,7 +268,7 @@ class Path:
         return "\n".join([*lines, *(",".join(f"{value:.9f}" for value in row) for row in rows), ""])
 
     def __repr__(self) -> str:
-        at = f", at {place_deg(*self.origin_deg)}" if self.origin_deg else ""
+        at = ", at {:.5f}, {:.5f} deg".format(*self.origin_deg) if self.origin_deg else ""
         return f"Path('{self.name}', {'closed' if self.closed else 'open'}, {self.length:.1f} m{at})"
 
 

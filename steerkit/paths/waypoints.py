@@ -223,12 +223,6 @@ def placed(columns: Mapping[str, Array], where: str) -> tuple[Array, tuple[float
     return east_north(lat, lon, origin), origin
 
 
-def place_deg(lat_deg: float, lon_deg: float) -> str:
-    """A position as people write it: `52.28000 N, 8.02000 E`."""
-    north, east = "N" if lat_deg >= 0.0 else "S", "E" if lon_deg >= 0.0 else "W"
-    return f"{abs(lat_deg):.5f} {north}, {abs(lon_deg):.5f} {east}"
-
-
 FASTEST = 100.0
 """[m/s]; what seems faster is a wrong position."""
 

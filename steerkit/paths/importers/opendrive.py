@@ -13,6 +13,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
@@ -36,6 +37,7 @@ _WIDEST = 15.0
 """A lane is no wider [m]."""
 _MOST_TURN = 200.0
 """A spiral turns by no more than this [rad]."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 Steps = list[tuple[float, Any]]
 """Values that hold from a distance on [m] to the next one's: of a speed [m/s], or a cubic's coefficients (4,)."""
@@ -142,7 +144,7 @@ def _stepped(steps: Steps, s: Array, before: Any) -> Array:
 def _summed(cubics: Steps, s: Array) -> Array:
     """Piecewise cubics at s (n,); 0 before the first."""
     begins = _stepped([(begin, begin) for begin, _ in cubics], s, 0.0)
-    return cubic(_stepped(cubics, s, np.zeros(4)).T, s - begins)
+    return np.asarray(polyval(s - begins, _stepped(cubics, s, np.zeros(4)).T, tensor=False))
 
 
 def opendrive(file: str) -> Map:
@@ -425,14 +427,6 @@ class Shape:
         return self.x0 + u * c - v * s, self.y0 + u * s + v * c, self.psi0 + heading
 
 
-@functools.cache
-def _rule(panels: int) -> tuple[Array, Array]:
-    """Nodes and weights of Gauss and Legendre's rule over 0 to 1, with 16 nodes on each panel."""
-    nodes, weights = np.polynomial.legendre.leggauss(16)
-    places = (np.arange(panels)[:, None] + 0.5 * (1.0 + nodes)) / panels
-    return places.ravel(), np.tile(0.5 * weights / panels, panels)
-
-
 def spiral(length: float, k0: float, k1: float, d: Array) -> tuple[Array, Array, Array]:
     """A clothoid, whose curvature changes evenly from k0 to k1 [1/m]; with equal curvatures an arc, or a straight.
 
@@ -442,11 +436,10 @@ def spiral(length: float, k0: float, k1: float, d: Array) -> tuple[Array, Array,
     changes, where Fresnel integrals cancel.
     """
     rate = (k1 - k0) / length if length > 0.0 else 0.0
-    places, weights = _rule(1)
 
     def over(begin: Array, d: Array) -> Array:
-        at = begin[:, None] + d[:, None] * places
-        return d * (np.exp(1j * at * (k0 + 0.5 * rate * at)) @ weights)
+        at = begin[:, None] + 0.5 * d[:, None] * (1.0 + _NODES)
+        return 0.5 * d * (np.exp(1j * at * (k0 + 0.5 * rate * at)) @ _WEIGHTS)
 
     ends = np.linspace(0.0, length, 1 + max(1, math.ceil(max(abs(k0), abs(k1)) * length)))
     panel = np.clip(np.searchsorted(ends, d, side="right") - 1, 0, len(ends) - 2)
@@ -461,33 +454,26 @@ def param_poly3(scale: float, u: Array, v: Array, d: Array) -> tuple[Array, Arra
     The curve is exact, the distance along it as even as the map's author made it, as the standard has it.
     """
     p = d / scale if scale > 0.0 else d
-    return cubic(u, p), cubic(v, p), np.arctan2(slope(v, p), slope(u, p))
+    x, y, dx, dy = (np.asarray(polyval(p, a), dtype=float) for a in (u, v, polyder(u), polyder(v)))
+    return x, y, np.arctan2(dy, dx)
 
 
 def poly3(length: float, v: Array, d: Array) -> tuple[Array, Array, Array]:
-    """A cubic over its chord: v(u) = a + b u + c u^2 + d u^3, u from the distance: d = integral sqrt(1 + v'^2) du.
+    """A cubic over its chord: v(u) = a + b u + c u^2 + d u^3, u from the distance: du/dd = 1/sqrt(1 + v'^2).
 
-    The integral by Gauss and Legendre's rule, inverted by Newton's method.
+    u by Dormand and Prince's method of order 8.
     """
-    places, weights = _rule(16)
+    from scipy.integrate import solve_ivp
 
-    def along(u: Array) -> Array:
-        return u * (np.hypot(1.0, slope(v, u[:, None] * places)) @ weights)
-
-    rough = np.linspace(0.0, length, 65)  # u never goes further than the distance
-    u = np.interp(d, along(rough), rough)
-    for _ in range(8):
-        u = u - (along(u) - d) / np.hypot(1.0, slope(v, u))
-    return u, cubic(v, u), np.arctan(slope(v, u))
-
-
-def cubic(a: Array, p: Array) -> Array:
-    """a_0 + a_1 p + a_2 p^2 + a_3 p^3."""
-    value: Array = a[0] + p * (a[1] + p * (a[2] + p * a[3]))
-    return value
-
-
-def slope(a: Array, p: Array) -> Array:
-    """Its derivative by p."""
-    value: Array = a[1] + p * (2.0 * a[2] + p * 3.0 * a[3])
-    return value
+    slope = polyder(v)
+    way = solve_ivp(
+        lambda _, u: 1.0 / np.hypot(1.0, polyval(u, slope)),
+        (0.0, length),
+        [0.0],
+        "DOP853",
+        dense_output=True,
+        rtol=1e-13,
+        atol=1e-13,
+    )
+    (u,) = way.sol(d)
+    return u, polyval(u, v), np.arctan(polyval(u, slope))

@@ -156,7 +156,6 @@ def test_the_car_tells_before_the_motor_and_who_was_last_before_the_wheel() -> N
     assert shown["/wheel/delta_sw_cmd"] == "supervisor.delta_sw"
     assert (shown["/path/e"], shown["/car/x"]) == ("path.e", "x")
     assert shown["/signals/actuator/delta_sw"] == "actuator.delta_sw"
-    assert foxglove.by_topic({"/path/e": 1, "/path/s": 2}) == {"/path": {"e": 1, "s": 2}}
 
 
 def test_a_long_way_is_shown_with_fewer_points(tmp_path: Path) -> None:
