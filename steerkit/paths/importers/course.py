@@ -149,6 +149,8 @@ def laid(
     remarks = list(notes)
     if noise > 0.0 and len(line.xy) > 8:
         curve, end, u, shown = smoothed(line.xy, noise, closed=closed)
+        wound = f"smoothed by noise = {noise:g} m it is {end:.0f} m long, but from point to point {total:.0f} m"
+        require(end <= 2.0 * total, name, f"{wound}: points out of order or wrong? Leave them out, or give more noise")
         count = max(12, round(end))
         fine = curve(np.linspace(0.0, end, count + 1)[: -1 if closed else None])
         beside = np.hypot(*(line.xy - curve(u[: len(line.xy)])).T)

@@ -29,6 +29,18 @@ def test_a_drawn_line_is_followed_between_its_points() -> None:
     assert any("smoothed by noise = 0.5 m" in note for note in one.notes)
 
 
+def test_a_way_that_winds_up_between_its_points_is_refused_at_once() -> None:
+    """A row that stands a second time, 40 m further on: the smoothed curve would be 19 km long, and take minutes."""
+    s = np.arange(0.0, 300.0, 5.0)
+    xy = np.column_stack((s, 20.0 * np.sin(s / 75.0)))
+    twice = np.insert(xy, 44, xy[36], axis=0)
+    with pytest.raises(
+        ValueError, match=r"noise = 0.1 m it is \d+ m long, but from point to point 373 m: points out of"
+    ):
+        made(twice, drawn=False)
+    assert made(xy, drawn=False).path.length == pytest.approx(300.8, abs=0.5)  # 295 m and 20^2/75^2/4 of it
+
+
 def _off(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
     share = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
     return float(np.hypot(*(p - a - share * (b - a))))
