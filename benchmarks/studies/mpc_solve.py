@@ -45,6 +45,7 @@ SUBSTEPS = 2  # as many as the block's model takes at these speeds
 SAMPLES, TURN, KICK, KICK_EVERY = 500, 50, 0.8, 50
 CAR = NonlinearSingleTrack(vehicle=vehicle("vw-passat"), v0=5.0)
 MOTOR = SteeringActuator(delay=0.2, lag=0.1)
+STEERING = {"delay": MOTOR.delay + 0.5 * MOTOR.dt, "lag": MOTOR.lag}
 NEEDED = {"ltv20_ms": 0.3, "ltv20_p99_ms": 1.0, "ltv40_ms": 0.6, "nmpc20_ms": 0.6, "nmpc40_ms": 1.0}
 
 Case = tuple[tuple[float, ...], Any]
@@ -54,7 +55,7 @@ Case = tuple[tuple[float, ...], Any]
 def recorded(samples: int, *, horizon: int = 40) -> list[list[float]]:
     """Inputs of a controller with that horizon in each sample of a drive: e, psi_e, v, beta, r, wheel, preview."""
     path = course("paper")
-    mpc = MPC.of(CAR, MOTOR, horizon=horizon)
+    mpc = MPC.of(CAR, **STEERING, horizon=horizon)
     loop = steering_loop(
         car=placed(CAR, path, s=1.0),
         path=path,
@@ -114,7 +115,7 @@ def measured(samples: int) -> dict[str, Any]:
     """All figures."""
     rows = recorded(samples)
     blocks: dict[str, PredictiveSteering] = {
-        f"{name}{n}": kind.of(CAR, MOTOR, horizon=n)
+        f"{name}{n}": kind.of(CAR, **STEERING, horizon=n)
         for name, kind in (("ltv", MPC), ("nmpc", NonlinearMPC))
         for n in (20, 40)
     }

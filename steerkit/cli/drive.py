@@ -102,9 +102,8 @@ def drive(
     with streamed(stream, pace=pace) as each:
         rows = driven(asked, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet, each=each)
     if animate is not None:
-        p, log = scenario.nominal, Log.load(place / "drive.npz")
-        car = {"wheelbase": p.wheelbase, "l_f": p.l_f, "steer_ratio": p.steer_ratio}
-        log.animate(scenario.path(), animate, progress=not options.quiet, **car)
+        log = Log.load(place / "drive.npz")
+        log.animate(scenario.path(), animate, vehicle=scenario.nominal, progress=not options.quiet)
     if options.as_json:
         print(json.dumps(rows[0] if len(asked) == 1 else {"drives": rows}))
 

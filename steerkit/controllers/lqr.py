@@ -104,13 +104,10 @@ class LqrDesign:
         early = self.delay - (n - 1) * self.dt if self.delay > 0.0 else 0.0
         first, second = expm(rate * early), expm(rate * (self.dt - early))
         whole[:_MOTION, :_MOTION] = (second @ first)[:_MOTION, :_MOTION]
-        whole[:_MOTION, _MOTION:] = 0.0
-        whole[:_MOTION, _MOTION] += (second @ first)[:_MOTION, 5] - second[:_MOTION, 5]
+        whole[:_MOTION, _MOTION] = (second @ first)[:_MOTION, 5] - second[:_MOTION, 5]
         late = second[:_MOTION, 5]
-        if n > 1:
-            whole[:_MOTION, _MOTION + 1] += late
-        else:  # the command of this sample: the one before plus the step
-            whole[:_MOTION, _MOTION] += late
+        whole[:_MOTION, _MOTION + (n > 1)] += late
+        if n == 1:  # the command of this sample: the one before plus the step
             change[:_MOTION] = late
         whole[_MOTION:, _MOTION:] = np.eye(n, k=1)
         whole[-1, -1] = change[-1] = 1.0

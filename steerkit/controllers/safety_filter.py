@@ -320,22 +320,14 @@ class SafetyFilter(Block):
         wheel = u.delta_sw_meas + 0.0
         none = 0.0 * wheel
         steady = self._model.yaw_rate_after(u.r, wheel, m.maximum(u.v, 0.0), math.inf)
-        known = _Known(
+        known = _Known(*[none + at_first for at_first in self.init()[:_BANK]])._replace(
             r_model=u.r + 0.0,
-            wrong=0.0 * u.r,
             r_slow=u.r + 0.0,
             wheel_before=wheel,
             plan=wheel,
-            hold=none,
-            wrong_slow=none,
-            wrong_square=none + (self.yaw_doubt / 3.0) ** 2,
-            late=none,
-            widened=none + 1.0,
             wheel=wheel,
             r_sent=steady,
             r_sent_slow=steady,
-            square=none,
-            allowed=none,
         )
         return (*known, *[none] * (3 * self._candidates), *[wheel] * self._kept)
 

@@ -271,6 +271,5 @@ def film(again: Resimulated, file: str | FilePath, *, lasts: float = 10.0, progr
 
     lasts [s]: the film, or less where the drive took less.
     """
-    car, speed = again.vehicle, max(1.0, float(again.t[-1]) / lasts)
-    size = {"wheelbase": float(car.wheelbase), "l_f": float(car.l_f), "steer_ratio": float(car.steer_ratio)}
-    return again.log.animate(again.path, file, **size, speed=speed, fps=8.0, progress=progress)
+    speed = max(1.0, float(again.t[-1]) / lasts)
+    return again.log.animate(again.path, file, vehicle=again.vehicle, speed=speed, fps=8.0, progress=progress)

@@ -13,6 +13,7 @@ from steerkit._support.errors import require
 from steerkit.diagram.units import degrees_of
 from steerkit.plots.style import COLOURS, style
 from steerkit.task import GOAL, TRIP
+from steerkit.vehicles import VW_PASSAT, Vehicle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,29 +49,25 @@ def animate(
     path: Path | None,
     file: str | File,
     *,
-    wheelbase: float = 2.71,
-    l_f: float | None = None,
-    steer_ratio: float = 15.6,
+    vehicle: Vehicle = VW_PASSAT,
     speed: float | None = None,
     fps: float = 12.0,
     moments: Sequence[float] | np.ndarray | None = None,
-    car: int = 0,
     progress: bool = False,
 ) -> File:
     """Write a film of a run to `file`: .gif (through Pillow) or .mp4 (through ffmpeg).
 
     log: with car.x, car.y, car.psi, and, if they are there, car.v, car.delta_sw, a tracker's e and whether a learner
-    steers (supervisor.learning). path: what the car should follow, or None. wheelbase, l_f [m], steer_ratio [1]: the
-    car, where the log does not know its own. speed: how many seconds of the run one second of film shows (default: so
-    many that it lasts 15 s, 1 at least). fps: pictures a second. moments: the time of each picture [s], two at least,
-    instead of even steps. car: which one of a batch.
+    steers (supervisor.learning). path: what the car should follow, or None. vehicle: the car, where the log does not
+    know its own. speed: how many seconds of the run one second of film shows (default: so many that it lasts 15 s, 1 at
+    least). fps: pictures a second. moments: the time of each picture [s], two at least, instead of even steps.
     Returns the file.
-    Raises ValueError for another kind of file, a log without a car, or an MP4 without ffmpeg.
+    Raises ValueError for another kind of file, a log without a car or of several, or an MP4 without ffmpeg.
     """
     film_file = File(file)
     film = film_writer(film_file)
     require(1.0 <= fps <= 60.0, "animate", f"fps = {fps}, expected 1 to 60")
-    run = Moments.of_log(log, car)
+    run = Moments.of_log(log)
     if speed is None:
         speed = max(1.0, (log.t[-1] - log.t[0]) / _LASTS)
     require(speed > 0.0, "animate", f"speed = {speed}, expected a number > 0")
@@ -78,12 +75,11 @@ def animate(
         moments = np.arange(log.t[0], log.t[-1] + 1e-9, speed / fps)
     speeds = fps * np.diff(moments, prepend=2.0 * moments[0] - moments[1]) if len(moments) > 1 else [speed]
     plant = log.loop.blocks.get("car") if log.loop is not None else None
-    known = getattr(plant, "vehicle", None) if plant is not None else None
-    if known is not None and np.ndim(known.wheelbase) == 0:
-        wheelbase, l_f, steer_ratio = float(known.wheelbase), float(known.l_f), float(known.steer_ratio)
+    vehicle = getattr(plant, "vehicle", vehicle)
     film_file.parent.mkdir(parents=True, exist_ok=True)
     with style():
-        scene = Scene(run, path, wheelbase, 0.45 * wheelbase if l_f is None else l_f, steer_ratio, 18.0)
+        size = float(vehicle.wheelbase), float(vehicle.l_f), float(vehicle.steer_ratio)
+        scene = Scene(run, path, *size, 18.0)
         writer = film(fps=fps)
         with writer.saving(scene.figure, str(film_file), dpi=80):
             for t, faster in shown([*zip(moments, speeds)], "film" if progress else ""):
@@ -100,8 +96,8 @@ class Moments:
         self.t, self.signals = t, {**signals, "psi": np.unwrap(signals["psi"])}
 
     @classmethod
-    def of_log(cls, log: Log, car: int) -> Moments:
-        """Those of a log of one car, or of one of a batch."""
+    def of_log(cls, log: Log) -> Moments:
+        """Those of a log of one car."""
         names = {key: f"car.{key}" for key in ("x", "y", "psi", "v", "delta_sw")}
         errors = [name for name in ("path.e", *log) if name.rpartition(".")[2] == "e" and name in log]
         names |= {"e": errors[0]} if errors else {}
@@ -109,13 +105,8 @@ class Moments:
         missing = [names[key] for key in ("x", "y", "psi") if names[key] not in log]
         require(not missing, "animate", f"the log lacks {', '.join(missing)}; recorded: {', '.join(log)}")
         require(len(log.t) >= 2, "animate", f"{len(log.t)} samples, expected two at least")
-        signals: dict[str, np.ndarray] = {}
-        for key, name in names.items():
-            if name in log:
-                values = log[name]
-                cars = values.shape[-1]  # if it is a batch
-                require(values.ndim == 1 or car < cars, "animate", f"car = {car}, the log has {cars}: 0 to {cars - 1}")
-                signals[key] = values if values.ndim == 1 else values[..., car]
+        signals = {key: log[name] for key, name in names.items() if name in log}
+        require(signals["x"].ndim == 1, "animate", f"car.x is {signals['x'].shape}, a batch, expected a log of one car")
         return cls(log.t, signals)
 
     def at(self, t: float) -> dict[str, float]:

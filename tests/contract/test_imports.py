@@ -24,7 +24,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "diagram": BASE,
     "compiled": BASE | {"diagram"},
     "analysis": BASE | {"diagram", "plots"},
-    "plots": BASE | {"diagram", "paths"},
+    "plots": BASE | PARTS,
     "vehicles": BASE | {"diagram"},
     "paths": BASE | {"diagram"},
     "doe": BASE | PARTS,

@@ -109,7 +109,7 @@ def told(drive: Drive | None) -> Any:
 
 
 STEPS = {"inputs": ["controller_path.e"], "outputs": ["path.e"]}
-SCENE = (animation.Moments.of_log(LOG, 0), PATH, 2.7, 1.2, 15.0, 18.0)
+SCENE = (animation.Moments.of_log(LOG), PATH, 2.7, 1.2, 15.0, 18.0)
 PICTURES: dict[str, Callable[[], Any]] = {
     **{
         f"diagram {name}": lambda make=make: diagram.plot_diagram(make())

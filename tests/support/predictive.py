@@ -17,6 +17,8 @@ from steerkit.vehicles import vehicle
 
 CAR = NonlinearSingleTrack(vehicle=vehicle("vw-passat"), v0=5.0)
 MOTOR = SteeringActuator(delay=0.1, lag=0.1)
+STEERING = {"delay": MOTOR.delay + 0.5 * MOTOR.dt, "lag": MOTOR.lag}
+"""Of the motor, which holds its angle for its dt."""
 KINDS = (MPC, NonlinearMPC)
 kinds = pytest.mark.parametrize("kind", KINDS)
 ZEROS = {"e": 0.0, "psi_e": 0.0, "v": 5.0, "beta": 0.0, "r": 0.0, "delta_sw_meas": 0.0}
@@ -24,7 +26,7 @@ ZEROS = {"e": 0.0, "psi_e": 0.0, "v": 5.0, "beta": 0.0, "r": 0.0, "delta_sw_meas
 
 @cache
 def controller(kind: type[PredictiveSteering] = MPC, **fields: Any) -> PredictiveSteering:
-    return kind.of(CAR, MOTOR, **({"clock": None, "horizon": 10} | fields))
+    return kind.of(CAR, **(STEERING | {"clock": None, "horizon": 10} | fields))
 
 
 def own(kind: type[PredictiveSteering] = MPC, **fields: Any) -> PredictiveSteering:

@@ -151,12 +151,11 @@ class PredictiveSteering(Block):
         object.__setattr__(self, "preview_points", math.ceil(_PACE * (len(self.spans) + self.horizon)) + 1)
 
     @classmethod
-    def of(cls, car: Any, actuator: Any = None, **settings: Any) -> Self:
+    def of(cls, car: Any, **settings: Any) -> Self:
         """The controller for a single-track plant (its `rhs` and `vehicle`), e at its front axle.
 
-        delay, lag [s] are given among the settings, which are any fields; or with an `actuator` to read them from, a
-        `SteeringActuator`. That holds its angle for its own dt, which is half of that more delay. Raises ValueError
-        for a car without a right-hand side.
+        delay, lag [s] are given among the settings, which are any fields. A `SteeringActuator` holds its angle for its
+        own dt, which is half of that more delay. Raises ValueError for a car without a right-hand side.
         """
         expected = "no right-hand side to predict with, expected a plant such as NonlinearSingleTrack(vehicle=...)"
         require(hasattr(car, "rhs"), cls.__name__, f"{type(car).__name__} has {expected}")
@@ -167,13 +166,6 @@ class PredictiveSteering(Block):
             limit=float(car.vehicle.delta_sw_max),
             fallback=Stanley.of(car.vehicle, dt=settings.get("dt", cls.dt)),
         )
-        if actuator is not None:
-            given |= dict(
-                delay=actuator.delay + 0.5 * actuator.dt,
-                lag=float(actuator.lag),
-                limit=min(float(actuator.limit), given["limit"]),
-                rate_limit=min(float(actuator.rate_limit), cls.rate_limit),
-            )
         return cls(**(given | settings))
 
     @cached_property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path as FilePath
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +28,7 @@ def film_of(place: str | FilePath, file: str | FilePath, *, lasts: float = 20.0,
     t, car = record.log.t, record.experiment.scenario.nominal
     require(len(t) >= 2, "film", f"{place}: nothing has been driven yet")
     moments = moments_of(record, float(t[-1] if done is None else min(done, t[-1])), lasts, fps)
-    size: Any = {"wheelbase": float(car.wheelbase), "l_f": float(car.l_f), "steer_ratio": float(car.steer_ratio)}
-    return animate(with_heading(record), record.path, file, fps=fps, moments=moments, **size)
+    return animate(with_heading(record), record.path, file, vehicle=car, fps=fps, moments=moments)
 
 
 def with_heading(record: Record) -> Log:

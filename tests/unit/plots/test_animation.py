@@ -10,6 +10,7 @@ from PIL import Image
 from steerkit.diagram.simulation import Log
 from steerkit.paths.courses import circle
 from steerkit.plots.animation import Moments, Scene, animate
+from steerkit.vehicles import VW_PASSAT, scaled
 from tests.support.command_lines import run
 
 PATH = circle()
@@ -25,7 +26,7 @@ def test_a_film_has_its_frames_and_the_car_moves(log: Log, tmp_path: Path) -> No
             film.seek(k)
             frames.append(np.asarray(film.convert("L"), dtype=float))
     assert np.abs(frames[0] - frames[1]).mean() > 1.0
-    same = log.animate(PATH, tmp_path / "same.gif", fps=2.0, speed=1.0, wheelbase=9.0)
+    same = log.animate(PATH, tmp_path / "same.gif", fps=2.0, speed=1.0, vehicle=scaled("long", m=1500.0, wheelbase=9.0))
     assert same.read_bytes() == file.read_bytes(), "the log knows its car"
 
 
@@ -48,6 +49,20 @@ def test_a_log_without_a_car_teaches(log: Log, tmp_path: Path) -> None:
     bare = Log(log.t, {"car.x": log["car.x"]}, {"car.x": "m"})
     with pytest.raises(ValueError, match=r"the log lacks car\.y, car\.psi; recorded: car\.x"):
         animate(bare, PATH, tmp_path / "run.gif")
+
+
+def test_of_a_batch_no_film_is_made(log: Log, tmp_path: Path) -> None:
+    two = Log(log.t, {name: np.stack([log[name]] * 2, axis=-1) for name in log}, log.units)
+    with pytest.raises(ValueError, match=r"car\.x is \(\d+, 2\), a batch, expected a log of one car"):
+        animate(two, PATH, tmp_path / "run.gif")
+
+
+def test_the_car_that_is_given_is_drawn_where_the_log_knows_none(log: Log, tmp_path: Path) -> None:
+    bare = Log(log.t, {name: log[name] for name in log}, log.units)
+    long = scaled("long", m=1500.0, wheelbase=9.0)
+    files = [animate(bare, PATH, tmp_path / f"{car.name}.gif", fps=2.0, vehicle=car) for car in (VW_PASSAT, long)]
+    assert files[0].read_bytes() != files[1].read_bytes()
+    assert files[0].read_bytes() == animate(bare, PATH, tmp_path / "run.gif", fps=2.0).read_bytes()
 
 
 def test_what_cannot_be_filmed_is_not_driven(

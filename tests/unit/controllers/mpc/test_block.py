@@ -26,13 +26,13 @@ from steerkit.paths.courses import circle, straight
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed
-from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed
 from tests.support.places import ROOT
 from tests.support.predictive import (
     CAR,
     KINDS,
     MOTOR,
+    STEERING,
     ZEROS,
     ahead,
     checked,
@@ -229,7 +229,7 @@ def test_without_beta_the_fallback_is_asked_where_the_car_will_be(monkeypatch: p
 @pytest.mark.parametrize(("e", "psi_e_deg"), [(3.0, 30.0), (-3.0, 45.0)])
 @kinds
 def test_a_start_far_off_and_askew_is_recovered(kind: Any, e: float, psi_e_deg: float) -> None:
-    loop = loop_of(kind.of(CAR, MOTOR), path=straight(120.0), e=e, psi_e=math.radians(psi_e_deg))
+    loop = loop_of(kind.of(CAR, **STEERING), path=straight(120.0), e=e, psi_e=math.radians(psi_e_deg))
     log = simulate(loop, 15.0)
     assert np.abs(log["path.e"][-200:]).max() < 0.02
     assert np.abs(log["car.a_y"]).max() < 3.1
@@ -250,14 +250,6 @@ def test_the_fallback_turns_the_wheel_no_faster_than_the_motor(kind: Any, side: 
     assert block._fallback(u, there) * side > -5.0, "it would jump"
 
 
-def test_an_actuators_times_are_its_delay_its_lag_and_half_of_its_sample() -> None:
-    motor = SteeringActuator(delay=0.1, lag=0.13, rate_limit=5.0, limit=8.0, dt=0.02)
-    block = MPC.of(CAR, motor)
-    assert (block.delay, block.lag) == (pytest.approx(0.11), 0.13)
-    assert (block.rate_limit, block.limit) == (5.0, 8.0)
-    assert MPC.of(CAR, motor, delay=0.3).delay == 0.3
-
-
 @kinds
 @pytest.mark.parametrize("slow", [False, True])
 def test_it_plans_and_commands_what_was_written_down(kind: Any, slow: bool) -> None:
@@ -265,7 +257,7 @@ def test_it_plans_and_commands_what_was_written_down(kind: Any, slow: bool) -> N
     ends of the model's speeds; beyond what sensors tell; without beta. slow: with another steering, steered by torque.
     """
     other = dict(fallback=replace(Stanley.of(CAR.vehicle), slew=8.0), delay=0.13, lag=0.0, horizon=9, reference=0.3)
-    block = kind.of(CAR, MOTOR, clock=None, **(other if slow else {}))
+    block = kind.of(CAR, clock=None, **(STEERING | (other if slow else {})))
     states: list[dict[str, float]] = [
         {"e": 0.02, "psi_e": 0.01},
         {"e": 0.7, "psi_e": -0.1, "r": 0.2, "v": 8.0},

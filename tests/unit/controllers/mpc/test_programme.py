@@ -13,7 +13,7 @@ from steerkit.controllers.mpc.path_model import CURVES, KAPPA_STEP, SPEEDS
 from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from tests.support.places import ROOT
-from tests.support.predictive import CAR, MOTOR, ahead, controller, inputs, kinds, steady, table
+from tests.support.predictive import CAR, STEERING, ahead, controller, inputs, kinds, steady, table
 
 STATE = {"e": 0.3, "psi_e": -0.05, "r": 0.1, "v": 6.0, "kappa": 0.03}
 
@@ -120,7 +120,7 @@ def test_a_slow_car_is_driven_in_more_steps(v: float) -> None:
 def test_the_model_has_the_numbers_written_down(car: Any) -> None:
     """Sums over what is tabled, stepped and linearised, at speeds and curvatures within the tables, at their ends, and
     beyond; from straight driving and far from it."""
-    block = MPC.of(car, MOTOR, horizon=10, clock=None, lag=0.13, q_psi=0.3, q_r=0.02, reference=1.1)
+    block = MPC.of(car, delay=STEERING["delay"], horizon=10, clock=None, lag=0.13, q_psi=0.3, q_r=0.02, reference=1.1)
     model, bends = block.model, [-0.3, -0.2475, -0.1, -0.011, 0.0, 0.0025, 0.05, 0.17, 0.2475, 0.26]
     x, far = [0.1, -0.05, 0.02, 0.1, 0.4, 0.7], [-0.9, 0.6, -0.2, -0.8, 6.0, 3.0]
     found = [float(model.sway_is_speed), *[float(np.ravel(steps) @ range(1, 159)) for steps in [model._substeps]]]

@@ -44,7 +44,7 @@ def test_the_beginning_is_real_time_until_the_learner_has_the_wheel_again(record
 
 def test_the_picture_says_what_the_log_says(record: Record) -> None:
     log, t = record.log, record.log.t
-    scene = Scene(Moments.of_log(with_heading(record), 0), record.path, 2.7, 1.2, 15.6, 18.0)
+    scene = Scene(Moments.of_log(with_heading(record)), record.path, 2.7, 1.2, 15.6, 18.0)
     for k in (1, int(record.failed_at[0]) + 3, int(record.failed_at[1]) - 2, len(t) - 2):
         scene.show(float(t[k]), 1.0)
         learns, failures = record.learning[k], int((record.failed_at <= k).sum())
