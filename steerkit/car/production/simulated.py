@@ -20,6 +20,7 @@ from steerkit.paths.path import Path
 
 _SPEED_NOISE = 0.01  # m/s
 _SLOWEST = 1.0  # m/s: below, torque turns the wheel as at this speed
+CRUISE_AFTER = 0.5  # s after the ignition, or after braking: to be allowed to steer takes an edge of cruise control
 
 
 @dataclass
@@ -67,6 +68,7 @@ class ProductionCar:
         self._out: deque[tuple[float, Frame]] = deque()
         self._dice = random.Random(int(more.get("seed", 0)))
         self._waiting: list[Frame] = []
+        self._cruise_from = CRUISE_AFTER
 
     def receive(self, t: float, frame: Frame) -> None:
         """A frame of the computer at time t [s]."""
@@ -123,12 +125,15 @@ class ProductionCar:
 
     def _say(self, t: float) -> list[Frame]:
         fault: Callable[..., Fault | None] = self.car.fault
+        brake = fault("brake", t) is not None
+        if brake:
+            self._cruise_from = t + CRUISE_AFTER
         said = Said(
             angle_deg=float(degrees_of(self.car.turned)),
             v=max(0.0, float(self.car.now.v) + self._dice.gauss(0.0, _SPEED_NOISE)),
             r=float(self.car.now.r),
             hand=bool(fault("override", t) or fault("torque", t)),
-            brake=fault("brake", t) is not None,
+            brake=brake,
             gas=fault("accelerator", t) is not None,
             cruise=fault("disabled", t) is None and t >= self._cruise_from,
             door=fault("door", t) is not None,
@@ -158,6 +163,3 @@ class ProductionCar:
             self.judge.tick(t)
             self.counts.not_in_order += sum([not self.judge.receive(t, *frame) for frame in due])
         return due
-
-    _cruise_from = 0.5
-    """Cruise control is engaged so long after the ignition [s]: to be allowed to steer takes an edge."""

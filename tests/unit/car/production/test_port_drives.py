@@ -122,3 +122,21 @@ def test_a_killed_car_server_leaves_a_production_car_to_its_human(tmp_path: Path
     finally:
         server.kill()
         simulated.kill()
+
+
+@judged
+@pytest.mark.parametrize("name", ["TOYOTA_COROLLA", "RIVIAN_R1"])
+def test_after_braking_it_engages_again_once_cruise_control_does(name: str) -> None:
+    """The safety code allows steering at an edge of cruise control, which braking ends and the human engages again."""
+    world = ProductionWorld(config(name))
+    for k in range(140):
+        if k == 80:
+            world.car.faults.append(Fault(kind="brake", target="report", start=world.t, length=0.5))
+        snapshot = world.query()
+        if math.isfinite(snapshot.delta_sw):
+            world.request(snapshot.delta_sw)
+        orders = {Mode.OFF: Order.ARM, Mode.READY: Order.ENGAGE, Mode.OVERRIDE: Order.ACKNOWLEDGE}
+        if k % 5 == 0 and not 80 <= k < 100 and world.mode in orders:
+            world.order(orders[world.mode])
+    assert [to for _, to, _ in world.modes[-4:]] == ["OVERRIDE", "STANDBY", "READY", "ENGAGED"]
+    assert world.car.car.counts.rejected == 0
