@@ -241,8 +241,7 @@ def _minutes(text: str, base: Experiment | None) -> float | None:
         minutes = float(text)
     except ValueError:
         raise ValueError(f"--minutes {text}: expected a number, or +5 for five more") from None
-    more = text.startswith("+") and base is not None
-    return minutes + base.minutes if more and base is not None else minutes
+    return minutes + base.minutes if base is not None and text.startswith("+") else minutes
 
 
 def show(

@@ -17,7 +17,7 @@ from steerkit.cli.page import check_page, write_page
 from steerkit.identification import identify
 from steerkit.logs import read_drive
 from steerkit.logs import resimulate as again
-from steerkit.plants.steering_actuator import SteeringActuator, steering_in, steering_of
+from steerkit.plants.steering_actuator import SteeringActuator, steering_of
 from steerkit.plots.animation import film_writer
 from steerkit.plots.style import save
 from steerkit.vehicles import vehicle as vehicle_named
@@ -87,7 +87,7 @@ def _car(file: str, drive: Any) -> tuple[Any, Any, str]:
         motor = steering_of(file) if file.endswith(".toml") else SteeringActuator()
         return vehicle_named(file), motor, f"the car: {file}, delay {motor.delay:.2f} s, lag {motor.lag:.2f} s"
     found = identify(drive)
-    motor = steering_in(found.text(), "the identified car")
+    motor = steering_of("the identified car", text=found.text())
     known = f"ratio {found.vehicle.steer_ratio:.2f}, lag {motor.lag + motor.delay:.2f} s"
     return found.vehicle, motor, f"the car, as identified from the drive: {known}"
 

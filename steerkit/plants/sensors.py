@@ -22,7 +22,26 @@ _SLOWEST = 1.0  # m/s, for the estimate of sideslip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sensors(Block):
+class _Sensing(Block):
+    """The ports of all sensors: the truth, and what is seen of it; abstract."""
+
+    x_in = In("m")
+    y_in = In("m")
+    psi_in = In("rad")
+    v_in = In("m/s")
+    beta_in = In("rad")
+    r_in = In("rad/s")
+    x = Out("m", direct=(x_in,))
+    y = Out("m", direct=(y_in,))
+    psi = Out("rad", direct=(psi_in,))
+    v = Out("m/s", direct=(v_in,))
+    beta = Out("rad", direct=(beta_in,))
+    r = Out("rad/s", direct=(r_in,))
+    age = Out("s", direct=())
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sensors(_Sensing):
     """Measured pose and motion: the truth plus bias, white noise and, on the pose, slow drift, `latency` late.
 
     measured(t) = truth(t) + bias + noise n(t) + drift d(t),  seen(t) = measured(t - latency),
@@ -39,20 +58,6 @@ class Sensors(Block):
     errors: ValueError for parameters out of range, or a latency that is no multiple of dt. source: Gelb 1974 (Gauss-
     Markov).
     """
-
-    x_in = In("m")
-    y_in = In("m")
-    psi_in = In("rad")
-    v_in = In("m/s")
-    beta_in = In("rad")
-    r_in = In("rad/s")
-    x = Out("m", direct=(x_in,))
-    y = Out("m", direct=(y_in,))
-    psi = Out("rad", direct=(psi_in,))
-    v = Out("m/s", direct=(v_in,))
-    beta = Out("rad", direct=(beta_in,))
-    r = Out("rad/s", direct=(r_in,))
-    age = Out("s", direct=())
 
     position_noise: Scalar = number(0.0, "m", low=0.0, high=10.0)
     psi_noise: Scalar = number(0.0, "rad", low=0.0, high=1.0)
@@ -141,7 +146,7 @@ class Sensors(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class DegradedSensors(Block):
+class DegradedSensors(_Sensing):
     """Sensors as a car in series has them, for judging controllers by what they will really see.
 
     With g' standard normal, new each sample, and measured(t) what the wrapped sensors make of the truth a dt ago,
@@ -164,19 +169,7 @@ class DegradedSensors(Block):
     and 7 (jumps of a position); Titterton, Weston 2004, ch. 12 (drift of a heading); Rajamani 2012, eq. 2.12.
     """
 
-    x_in = In("m")
-    y_in = In("m")
-    psi_in = In("rad")
-    v_in = In("m/s")
-    beta_in = In("rad")
-    r_in = In("rad/s")
-    x = Out("m")
-    y = Out("m")
-    psi = Out("rad")
-    v = Out("m/s")
-    beta = Out("rad")
-    r = Out("rad/s")
-    age = Out("s", direct=())
+    beta = Out("rad")  # of v and r, where `rear` is given
 
     block: Sensors
     """The sensors; their seed is this block's."""

@@ -169,19 +169,15 @@ class TorqueSteering(DelayedSteering):
         return self.wheelbase / (fast * fast) + self.understeer
 
 
-def steering_of(file: str | FilePath, *, dt: float = 0.01, **others: Any) -> SteeringActuator:
+def steering_of(file: str | FilePath, *, text: str | None = None, dt: float = 0.01, **others: Any) -> SteeringActuator:
     """The steering of a vehicle file, as an actuator of sample time dt [s]: delay, lag, offset.
 
     Their sum is kept, less dt: that is what the sampled actuator and car add by holding their inputs. The delay is cut
-    down to a multiple of dt, 0 at least, and the rest is the lag's. others: more fields of `SteeringActuator`. Raises
-    ValueError for a broken file.
+    down to a multiple of dt, 0 at least, and the rest is the lag's. text: what stands in the file, if it is known.
+    others: more fields of `SteeringActuator`. Raises ValueError for a broken file.
     """
-    return steering_in(text_of(file), f"{file}", dt=dt, **others)
-
-
-def steering_in(text: str, where: str, *, dt: float = 0.01, **others: Any) -> SteeringActuator:
-    """The same from the text of a vehicle file; `where` is what errors call it."""
-    table = table_of(text, "steering", where)
+    where = f"{file}"
+    table = table_of(text_of(file) if text is None else text, "steering", where)
     for key in ("delay", "lag", "offset"):
         require(isinstance(table.get(key), (int, float)), where, f"[steering] {key}, expected a number")
     rest = table["delay"] - dt

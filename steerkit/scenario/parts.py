@@ -31,7 +31,7 @@ from steerkit.plants.steering_actuator import (
     SteeringColumn,
     SteeringLink,
     TorqueSteering,
-    steering_in,
+    steering_of,
 )
 from steerkit.scenario.catalogue import plant_kind
 from steerkit.task import A_Y_MAX, DT
@@ -207,7 +207,7 @@ class Car(Part):
         """Delay, lag and offset_deg of the file's table [steering]; empty where there is none."""
         if self.text is None or "steering" not in tables_of(self.text, self.name):
             return {}
-        motor = steering_in(self.text, self.name)
+        motor = steering_of(self.name, text=self.text)
         return {"delay": motor.delay, "lag": motor.lag, "offset_deg": degrees_of(motor.offset)}
 
 
