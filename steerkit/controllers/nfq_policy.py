@@ -9,7 +9,7 @@ import operator
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +25,6 @@ from steerkit.diagram.block import In, Out, State, without_port
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
 
-Combine = Literal["mean", "max", "disagreement"]
-COMBINATIONS: dict[str, str] = {
-    "mean": "the mean",
-    "max": "the largest: the cautious reading",
-    "disagreement": "mean + standard deviation: cautious where the nets disagree, that is, where there is little data",
-}
-"""How the values of an ensemble's nets become one."""
 Net = tuple[NDArray[Any], ...]
 """An all-sigmoid net as plain arrays: W [n_out, n_in] and b [n_out] of each layer in turn; the last has one unit."""
 
@@ -45,7 +38,7 @@ IDOE_ACTIONS = tuple(radians_of(a) for a in (0.0, -10.0, 10.0, -60.0, 60.0))
 class NfqPolicy(Policy):
     """Steers greedily by a learned Q-function: the action of the least expected cost.
 
-        action = argmin_a q(s, a),   q = mean, or max, or mean + standard deviation, over the nets of Q(s, a)
+        action = argmin_a q(s, a),   q = mean over the nets of Q(s, a)
         y = sigmoid(W y + b) in each layer of Q, from the scaled (s, a) on,   sigmoid(z) = (1 + tanh(z/2))/2
 
     `continuous`: any action between those of the set, the lowest point of the parabola through the best one's value and
@@ -57,7 +50,7 @@ class NfqPolicy(Policy):
     Without a net, action and q are 0.0. Equal values: the smallest |action| wins, then the first given. A NaN or an
     infinity among the inputs makes action and q NaN, so that a supervisor sees the fault. State: what a forecast
     remembers; none without `preview_points`.
-    Raises ValueError for an unknown `combine`, an empty or non-finite action set, nets of unlike or wrong layout, or
+    Raises ValueError for an empty or non-finite action set, nets of unlike or wrong layout, or
     non-finite weights. Source: Riedmiller 2005 (Neural Fitted Q Iteration), eq. for the greedy policy.
     """
 
@@ -70,8 +63,6 @@ class NfqPolicy(Policy):
     """The action set [rad]."""
     description: StateDescription = StateDescription()
     """Scaling of the six inputs, in the order of the ports."""
-    combine: Combine = "mean"
-    """How the nets' values become one: see `COMBINATIONS`."""
     ready_from: float = 0.0
     """Time from which a net counts as there [s]."""
     continuous: bool = False
@@ -86,7 +77,6 @@ class NfqPolicy(Policy):
     def __post_init__(self) -> None:
         super().__post_init__()
         where = "NfqPolicy"
-        require(self.combine in COMBINATIONS, where, f"combine = {self.combine!r}; valid: {', '.join(COMBINATIONS)}")
         actions = tuple(float(a) for a in self.actions)
         require(len(actions) > 0, where, "actions is empty, expected at least one angle [rad]")
         require(bool(np.isfinite(actions).all()), where, f"actions = {actions} [rad], expected finite numbers")
@@ -207,7 +197,7 @@ class NfqPolicy(Policy):
         h = np.tanh((of_state @ s)[:, None, :] + of_action[:, :, None]).reshape(len(of_state), -1)
         for w, d in layers:
             h = np.tanh(w @ h + d)
-        return 0.5 + 0.5 * combined(h, self.combine)
+        return 0.5 + 0.5 * mean_of(h)
 
     def values(self, *s: float) -> list[float]:
         """q of every action, the gentlest first, for one state as the nets see it."""
@@ -222,7 +212,7 @@ class NfqPolicy(Policy):
             h = [m.tanh(a + b) for a, b in zip(z, offsets, strict=True)]
             for w, d in layers:
                 h = [m.tanh(_dot(row, h) + c) for row, (c,) in zip(w.tolist(), d.tolist(), strict=True)]
-            values.append(0.5 + 0.5 * combined(h, self.combine))
+            values.append(0.5 + 0.5 * mean_of(h))
         return self.least(values)
 
     def least(self, values: Sequence[Any]) -> tuple[Any, Any]:
@@ -241,7 +231,6 @@ class NfqPolicy(Policy):
         """
         arrays = {
             "actions": self.actions,
-            "combine": self.combine,
             "ready_from": self.ready_from,
             "continuous": self.continuous,
             "dt": self.dt,
@@ -260,12 +249,12 @@ class NfqPolicy(Policy):
         """The policy that `save` wrote; raises ValueError for a truncated or foreign file."""
         f = read_arrays(path, "policy", largest=LARGEST_POLICY)
         try:
+            require(str(f.get("combine", "mean")) == "mean", "nets", "not to be joined by their mean; learn anew")
             layout = [sum(name.startswith(f"net{k}_") for name in f) for k in range(int(f["nets"]))]
             return cls(
                 nets=tuple(tuple(f[f"net{k}_{i}"] for i in range(n)) for k, n in enumerate(layout)),
                 actions=tuple(f["actions"].tolist()),
                 description=StateDescription.of_arrays(f),
-                combine=str(f["combine"]),  # type: ignore[arg-type]
                 ready_from=float(f["ready_from"]),
                 dt=float(f["dt"]),
                 continuous=bool(f["continuous"]),
@@ -364,16 +353,9 @@ def check_net(net: Net, n_in: int, where: str) -> None:
     require(n == 1, where, f"the last layer has {n} units, expected 1")
 
 
-def combined(values: Any, combine: str) -> Any:
-    """The values of the nets (nets, ...), of arrays or of symbols, as one (...): see `COMBINATIONS`."""
-    total = functools.reduce(m.maximum if combine == "max" else operator.add, values)
-    if combine == "max":
-        return total
-    mean = total / len(values)
-    if combine == "mean":
-        return mean
-    squares = [(value - mean) * (value - mean) for value in values]
-    return mean + m.sqrt(functools.reduce(operator.add, squares) / len(values))
+def mean_of(values: Any) -> Any:
+    """The mean (...) of the nets' values (nets, ...), of arrays or of symbols, added up in their order."""
+    return functools.reduce(operator.add, values) / len(values)
 
 
 def _dot(row: Any, h: Any) -> Any:

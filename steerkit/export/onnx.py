@@ -21,7 +21,7 @@ OPSET = 17
 
 
 def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *, single: bool = False) -> None:
-    """Write a policy as an ONNX model: scaling, nets, how they are combined and the choice of the action inside.
+    """Write a policy as an ONNX model: scaling, nets, their mean and the choice of the action inside.
 
     Input `state` (N, columns): SI, columns as in the block's description, unscaled. Outputs: `action` (N,) [rad], for
     a dynamic output element, which stays outside; of an `NfqPolicy` also `q` (N,) [1], its expected cost. A state with
@@ -105,25 +105,13 @@ def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
         for w, b in following:
             h = graph.op("Sigmoid", graph.op("Add", graph.op("MatMul", h, graph.number(w.T)), graph.number(b)))
         of_nets.append(h)
-    q = _combined(graph, graph.op("Concat", *of_nets, axis=2), policy.combine)
+    q = graph.op("ReduceMean", graph.op("Concat", *of_nets, axis=2), axes=[2], keepdims=0)
     best = graph.op("ArgMin", q, axis=1, keepdims=0)
     chosen, lowest = graph.op("Gather", graph.number(order), best), graph.op("ReduceMin", q, axes=[1], keepdims=0)
     if excess is not None:
         share = graph.op("Pow", graph.op("Squeeze", excess, graph.whole(1)), graph.number(-2.0))
         chosen = graph.op("Mul", chosen, share)
     return chosen, lowest
-
-
-def _combined(graph: _Graph, values: str, combine: str) -> str:
-    """The values of the nets (N, actions, nets) as one (N, actions)."""
-    if combine == "max":
-        return graph.op("ReduceMax", values, axes=[2], keepdims=0)
-    mean = graph.op("ReduceMean", values, axes=[2], keepdims=0)
-    if combine == "mean":
-        return mean
-    gap = graph.op("Sub", values, graph.op("Unsqueeze", mean, graph.whole(2)))  # disagreement
-    spread = graph.op("Sqrt", graph.op("ReduceMean", graph.op("Mul", gap, gap), axes=[2], keepdims=0))
-    return graph.op("Add", mean, spread)
 
 
 def _network(graph: _Graph, block: PolicyBlock) -> str:

@@ -202,7 +202,6 @@ def untrained(setting: Setting, seed: int) -> NfqPolicy:
         nets=nets,
         actions=setting.actions,
         description=description,
-        combine=setting.fit.combine,
         continuous=setting.continuous,
         preview_points=setting.fit.preview_points,
     )

@@ -35,7 +35,7 @@ TINY = replace(
 
 def untrained(how: Setting, speed: float) -> World:
     nets = nfq.fresh_nets(how.fit, how.description(), seed=0)
-    policy = NfqPolicy(nets=nets, actions=how.actions, description=how.description(), combine=how.fit.combine)
+    policy = NfqPolicy(nets=nets, actions=how.actions, description=how.description())
     world = World(s=20.0, v=(speed, speed), controller=policy, doe=how.element())
     world.bring_to(Mode.ENGAGED)
     return world

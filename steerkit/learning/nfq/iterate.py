@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import check_numbers, known, number, require
+from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.delay_compensator import LONGEST, PREVIEW, DelayCompensator
-from steerkit.controllers.nfq_policy import COMBINATIONS, Combine, NfqPolicy, combined
+from steerkit.controllers.nfq_policy import NfqPolicy, mean_of
 from steerkit.controllers.policy import ACTION, DOE, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.costs import Cost, Costs, TanhCost
@@ -81,8 +81,6 @@ class FitSetting:
     """Members of the ensemble: same targets, own random weights. Single fits differ threefold in wheel rate at equal
     RMS e: where a model of the car is learned, those of all iterations and of the update before drive that car
     (`trial_costs`), and the ones with the least cost stay. Without a model: the last iteration's."""
-    combine: Combine = "mean"
-    """How the members' values become one, in the targets and in the policy: mean, max or disagreement."""
     mirror: bool = False
     """Learn from every transition's mirror image too, with the same target: twice the data for twice the time."""
     iterations: int = number(1, low=1)
@@ -108,7 +106,6 @@ class FitSetting:
         where = "FitSetting"
         check_numbers(self, where)
         require(0.0 <= self.discount < 1.0, where, f"discount = {self.discount}, expected 0 <= discount < 1")
-        known(self.combine, COMBINATIONS, f"{where}: combine")
         bridged = self.dead_time == 0.0 or self.imagined > 0
         require(
             bridged, where, f"dead_time = {self.dead_time} s with imagined = {self.imagined}, expected imagined > 0"
@@ -184,7 +181,7 @@ def goal_patterns(problem: Problem, rng: np.random.Generator) -> NDArray[np.floa
 def action_values(problem: Problem, nets: Sequence[Net], s: NDArray[np.float64]) -> NDArray[np.float32]:
     """q(s, a) of every action for the states s (n, columns), as (actions, n)."""
     x = _with_each_action(problem, s)
-    return _values(problem, [predictor(net, x.shape[-1]) for net in nets], x)
+    return _values([predictor(net, x.shape[-1]) for net in nets], x)
 
 
 def _with_each_action(problem: Problem, s: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -194,10 +191,10 @@ def _with_each_action(problem: Problem, s: NDArray[np.float64]) -> NDArray[np.fl
     return x
 
 
-def _values(problem: Problem, members: Sequence[Predict], x: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What the members of an ensemble say together of net inputs (..., columns + 1)."""
+def _values(members: Sequence[Predict], x: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The mean of what the members of an ensemble say of net inputs (..., columns + 1)."""
     rows = x.reshape(-1, x.shape[-1])
-    return combined(np.array([member(rows) for member in members]), problem.fit.combine).reshape(x.shape[:-1])
+    return mean_of(np.array([member(rows) for member in members])).reshape(x.shape[:-1])
 
 
 def targets(problem: Problem, transitions: Transitions, nets: Sequence[Net] = ()) -> NDArray[np.float32]:
@@ -323,7 +320,7 @@ def trial_costs(
     total, drives = np.zeros(len(s)), np.ones(len(s), dtype=bool)
     for _ in range(TRIAL):
         parts = np.split(_with_each_action(problem, s), len(members), axis=1)
-        each = [_values(problem, those, part) for those, part in zip(drivers, parts, strict=True)]
+        each = [_values(those, part) for those, part in zip(drivers, parts, strict=True)]
         a = policy.least(list(np.concatenate(each, axis=1)[order]))[0] / problem.description.excess(s[:, V]) ** 2
         s_next = model.step(s, a, earlier, felt) + unexplained[near[place]]
         felt = felt and model.after(s, s_next[:, DOE], felt)

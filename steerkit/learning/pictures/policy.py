@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.controllers.nfq_policy import NfqPolicy, combined
+from steerkit.controllers.nfq_policy import NfqPolicy, mean_of
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.iterate import patterns
@@ -83,7 +83,7 @@ def q_slices(policy: NfqPolicy, scenario: Scenario, *, v: float = 6.0, doe: floa
         x = np.linspace(3.0, 9.0, n) if name == "v" else np.linspace(-SPANS[name], SPANS[name], n)
         where = {"v": v, "doe": doe} | {"psi" if name == "psi_e" else name: x}
         members = q_values(policy, states(scenario, names, n, **where))
-        q, best = combined(members, policy.combine), members.min(axis=1)
+        q, best = mean_of(members), members.min(axis=1)
         at = x if name in ("e", "e_dot", "v") else degrees_of(x)
         if len(best) > 1:
             span = best.min(axis=0), best.max(axis=0)
@@ -119,10 +119,7 @@ def policy_map(
     names, actions = policy.description.names, sorted(policy.actions)
     e, psi = np.linspace(-TRIP, TRIP, n), np.linspace(-radians_of(10.0), radians_of(10.0), n)
     over = {"e": np.tile(e, n), "psi": np.repeat(psi, n), "v": v}
-    q = [
-        combined(q_values(policy, states(scenario, names, n * n, doe=radians_of(doe), **over)), policy.combine)
-        for doe in doe_deg
-    ]
+    q = [mean_of(q_values(policy, states(scenario, names, n * n, doe=radians_of(doe), **over))) for doe in doe_deg]
     colours = _action_colours(actions)
     shades = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in colours], dtype=np.uint8)
     look: dict[str, Any] = {"extent": (-TRIP, TRIP, -10.0, 10.0), "origin": "lower", "aspect": "auto"}

@@ -10,10 +10,8 @@ from typing import Any
 import casadi
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from steerkit.controllers.nfq_policy import IDOE_ACTIONS, NfqPolicy, combined
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS, NfqPolicy
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning.nfq.iterate import STANDARD, patterns
@@ -22,7 +20,6 @@ from steerkit.learning.nfq.rprop import Net, forward, new_net
 NETS = tuple(tuple(3.0 * p for p in new_net(seed=k)) for k in range(3))
 POLICIES = [
     NfqPolicy(nets=NETS),
-    NfqPolicy(nets=NETS, combine="max"),
     NfqPolicy(nets=NETS[:1], actions=(-6.28, 6.28), description=StateDescription(action_scale=2.0)),
     NfqPolicy(nets=(new_net((7, 1), seed=1),)),
     NfqPolicy(nets=(new_net((7, 4, 3, 5, 1), seed=1), new_net((7, 4, 3, 5, 1), seed=2))),
@@ -53,11 +50,10 @@ def test_action_sets_in_degrees() -> None:
 def test_greedy_by_the_written_out_definition(policy: NfqPolicy) -> None:
     s = cars(100)
     scale = policy.description.action_scale or max(map(abs, policy.actions))
-    join = np.max if policy.combine == "max" else np.mean
     values = []
     for a in policy.actions:
         x = np.column_stack([(s.T - STANDARD.mid) / STANDARD.half, np.full(100, a / scale)])
-        values.append(join([forward(tuple(p.astype(float) for p in net), x) for net in policy.nets or ()], axis=0))
+        values.append(np.mean([forward(tuple(p.astype(float) for p in net), x) for net in policy.nets or ()], axis=0))
     found = ask(policy, s)
     np.testing.assert_allclose(found.q, np.min(values, axis=0), atol=1e-13)
     np.testing.assert_array_equal(found.action, np.array(policy.actions)[np.argmin(values, axis=0)])
@@ -117,7 +113,7 @@ def test_saved_and_loaded_bit_for_bit(tmp_path: Path, policy: NfqPolicy) -> None
     again = NfqPolicy.load(tmp_path / "a.npz")
     again.save(tmp_path / "b.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
-    assert (again.actions, again.combine, again.ready_from, again.dt) == (policy.actions, policy.combine, 1.5, 0.1)
+    assert (again.actions, again.ready_from, again.dt) == (policy.actions, 1.5, 0.1)
     assert again.description == policy.description
     s = cars(1)[:, 0].tolist()
     assert ask(again, s, 2.0) == ask(policy, s, 2.0)
@@ -133,6 +129,9 @@ def test_broken_and_foreign_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="expected 'steerkit policy 1'"):
         NfqPolicy.load(file)
     contents = dict(np.load(io.BytesIO(whole)))
+    np.savez(file, **contents, combine="max")
+    with pytest.raises(ValueError, match="not to be joined by their mean; learn anew"):
+        NfqPolicy.load(file)
     contents["net0_2"] = np.full((10, 10), np.nan)
     np.savez(file, **contents)
     with pytest.raises(ValueError, match=r"p\.npz: .*layer 1 holds a NaN"):
@@ -145,7 +144,6 @@ def test_broken_and_foreign_files_are_named(tmp_path: Path) -> None:
 
 def test_wrong_parameters_are_taught() -> None:
     for wrong, words in (
-        ({"combine": "min"}, "valid: mean, max, disagreement"),
         ({"actions": ()}, "at least one angle"),
         ({"actions": (0.0, np.nan)}, "expected finite"),
         ({"nets": (new_net((5, 10, 1)),)}, r"expected W \(n_out, 7\)"),
@@ -195,18 +193,6 @@ def test_at_speed_the_net_is_told_scaled_numbers_and_turns_the_wheel_less() -> N
     of_the_set = ask(replace(policy, continuous=False), s)
     seen = patterns(policy.description, s.T, of_the_set.action, 2.0).astype(float)  # as training sees it
     np.testing.assert_allclose(np.mean([forward(net, seen) for net in NETS], axis=0), of_the_set.q, atol=2e-6)
-
-
-@given(values=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=5))
-def test_caution_never_makes_an_action_cheaper(values: list[float]) -> None:
-    """The nets' readings of one action: mean <= mean + deviation, and mean <= the largest."""
-    column = np.array(values)[:, None]
-    mean, largest, cautious = (float(combined(column, how)[0]) for how in ("mean", "max", "disagreement"))
-    assert mean == pytest.approx(float(np.mean(values)))
-    assert largest == max(values)
-    assert cautious == pytest.approx(float(np.mean(values) + np.std(values)))
-    assert mean <= largest + 1e-12  # the mean of three equal numbers may round up
-    assert mean <= cautious + 1e-12
 
 
 def test_actions_beyond_any_steering_wheel_are_refused() -> None:

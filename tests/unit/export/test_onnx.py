@@ -11,7 +11,7 @@ import onnxruntime
 import pytest
 
 from steerkit.controllers.network_policy import Network, PolicyBlock
-from steerkit.controllers.nfq_policy import COMBINATIONS, NfqPolicy
+from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.state_description import StateDescription
 from steerkit.export.onnx import check_onnx, export_onnx
 
@@ -29,9 +29,7 @@ def layers(*sizes: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 POLICIES: list[Any] = [
     NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10))),
-    NfqPolicy(nets=(net(5), net(5)), actions=(-6.28, 6.28), combine="max"),
-    NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10)), combine="max"),
-    NfqPolicy(nets=(net(10, 10), net(10, 10), net(10, 10)), combine="disagreement"),
+    NfqPolicy(nets=(net(5), net(5)), actions=(-6.28, 6.28)),
     NfqPolicy(nets=(net(20, 20, 3),), description=StateDescription(action_scale=0.3)),
     NfqPolicy(nets=(net(10, 10), net(10, 10)), description=StateDescription(scaled_from=6.0)),
     PolicyBlock(policy=Network(layers=layers(6, 16, 16, 3)), actions=(-0.1, 0.0, 0.1)),
@@ -53,15 +51,6 @@ def test_the_model_says_what_the_block_says(policy: Any, tmp_path: Path) -> None
     assert set(differences) == ({"action", "q"} if isinstance(policy, NfqPolicy) else {"action"})
     assert all(difference <= 1e-6 for difference in differences.values())
     assert differences.get("q", 0.0) <= 1e-14
-
-
-def test_the_ways_to_combine_are_told_apart_by_the_check(tmp_path: Path) -> None:
-    """Nets that disagree choose other actions by their mean, their largest, and their mean with the disagreement."""
-    for policy in (replace(POLICIES[0], combine=combine) for combine in COMBINATIONS):
-        export_onnx(policy, tmp_path / "p.onnx")
-        for other in COMBINATIONS:
-            differences = check_onnx(replace(policy, combine=other), tmp_path / "p.onnx", states=2_000)
-            assert (max(differences.values()) < 1e-6) == (other == policy.combine)
 
 
 def test_the_check_tells_a_worse_action_and_lets_one_as_good_pass(tmp_path: Path) -> None:

@@ -30,8 +30,6 @@ FORECAST = DelayCompensator(samples=3, now=0.02, before=0.03, earlier=0.01, back
     [
         learned(),
         learned(nets=untrained(DEFAULT, 7).nets[:1]),  # type: ignore[index]
-        learned(combine="max"),
-        learned(combine="disagreement"),
         *(learned(forecast=replace(FORECAST, samples=n, loss=0.002, straight=0.05)) for n in (0, 1, 2, LONGEST)),
     ],
 )

@@ -251,7 +251,7 @@ def test_of_noisy_records_the_models_and_what_nets_learn_are_written_down(
     fit = FitSetting(mirror=True, hints=20, nets=2, imagined=150, horizon=3, dead_time=0.6, n_step=2, iterations=2)
     fit = replace(fit, symmetric=True, hidden=(4, 3))
     if kind == "without curvature":
-        fit = replace(fit, mirror=False, n_step=1, dead_time=0.0, window=70, combine="disagreement", discount=0.8)
+        fit = replace(fit, mirror=False, n_step=1, dead_time=0.0, window=70, discount=0.8)
         record = without_curvature(record)
         models = [CarModel.fit(record, DESCRIPTION)]
     else:

@@ -101,14 +101,13 @@ def test_n_step_targets_equal_the_sum_written_out_within_zero_and_one(n: int, di
         assert y[k] == pytest.approx(min(total, 1.0), abs=1e-6)
 
 
-def test_the_value_of_an_action_is_the_nets_combined() -> None:
+def test_the_value_of_an_action_is_the_mean_of_the_nets() -> None:
     record, nets = recorded(200), fresh_nets(FitSetting(nets=3), seed=4)
-    for combine, join in (("mean", np.mean), ("max", np.max)):
-        each = [
-            join([forward(net, patterns(STANDARD, record.s, np.full(200, a), 0.5)) for net in nets], axis=0)
-            for a in ACTIONS
-        ]
-        np.testing.assert_allclose(action_values(problem(combine=combine), nets, record.s), each, atol=5e-7)
+    each = [
+        np.mean([forward(net, patterns(STANDARD, record.s, np.full(200, a), 0.5)) for net in nets], axis=0)
+        for a in ACTIONS
+    ]
+    np.testing.assert_allclose(action_values(problem(), nets, record.s), each, atol=5e-7)
 
 
 def test_equal_seeds_give_equal_nets_and_others_do_not() -> None:
@@ -171,7 +170,7 @@ def test_updates_say_what_is_wrong() -> None:
 def test_a_fit_keeps_its_ranges() -> None:
     keeps_range(FitSetting, "discount", "[0.0, 1.0)")
     assert FitSetting(hidden=(1,)).hidden == (1,)
-    for wrong in ({"combine": "min"}, {"hidden": (10, 0)}, {"dead_time": 0.1}):
+    for wrong in ({"hidden": (10, 0)}, {"dead_time": 0.1}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             FitSetting(**wrong)  # type: ignore[arg-type]
 

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,16 +13,10 @@ from steerkit.learning.pictures.run import Record
 from steerkit.scenario import Scenario
 
 
-@pytest.mark.parametrize("combine", ["mean", "max", "disagreement"])
-def test_values_lead_to_the_actions_that_the_policy_takes(record: Record, combine: Any) -> None:
-    policy = replace(record.policy, combine=combine, continuous=False)
+def test_values_lead_to_the_actions_that_the_policy_takes(record: Record) -> None:
+    policy = replace(record.policy, continuous=False)
     s = record.transitions.s[:200]
-    members = q_values(policy, s)
-    q = {
-        "mean": members.mean(axis=0),
-        "max": members.max(axis=0),
-        "disagreement": members.mean(axis=0) + members.std(axis=0),
-    }[combine]
+    q = q_values(policy, s).mean(axis=0)
     y = policy.output(0.0, (), policy.D(*s.T))
     np.testing.assert_allclose(q.min(axis=0), y.q, atol=1e-6)
     clear = np.partition(q, 1, axis=0)[1] - q.min(axis=0) > 1e-5
