@@ -7,7 +7,7 @@ import pytest
 
 from steerkit._support.native import NoCompilerError
 from steerkit.learning.nfq import rprop
-from steerkit.learning.nfq.rprop import fit, flat, forward, new_net, predict, shaped, sizes_of
+from steerkit.learning.nfq.rprop import fit, flat, forward, new_net, predictor, shaped, sizes_of
 
 LAYOUTS = [(7, 10, 10, 1), (3, 1), (2, 4, 1), (5, 11, 3, 7, 1), (1, 6, 8, 1)]
 
@@ -35,7 +35,7 @@ def test_sigmoid_is_accurate_relatively_over_its_whole_range() -> None:
     z = np.linspace(-41.0, 41.0, 400_001, dtype=np.float32)
     net = (np.ones((1, 1), np.float32), np.zeros(1, np.float32))
     true = 1.0 / (1.0 + np.exp(-z.astype(np.float64)))
-    q = predict(net, z[:, None], engine="c")
+    q = predictor(net, 1, engine="c")(z[:, None])
     assert np.all(np.abs(q / true - 1.0) < 3e-7 + 7e-8 * np.abs(z))
     assert np.max(np.abs(q - true)) < 2e-7
     assert np.all(q >= 0.0)
@@ -49,7 +49,7 @@ def test_predict_equals_numpy_for_every_filling_of_the_last_block(sizes: tuple[i
     x, _ = data(sizes, 300)
     true = forward(net, x.astype(np.float64))
     for n in (0, 1, 2, 15, 16, 17, 127, 128, 129, 256, 300):
-        np.testing.assert_allclose(predict(net, x[:n], engine="c"), true[:n], atol=3e-7)
+        np.testing.assert_allclose(predictor(net, sizes[0], engine="c")(x[:n]), true[:n], atol=3e-7)
 
 
 @engines

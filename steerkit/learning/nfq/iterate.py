@@ -279,37 +279,32 @@ def iterate(
     members = [nets[i : i + size] for i in range(0, len(nets), size)]
     known = None if model is None else explained(model, transitions)
     for iteration in range(setting.iterations):
-        x, y = _patterns(problem, transitions, nets, model, [seed, iteration], known)
+        x, y = _patterns(problem, transitions, nets, known, [seed, iteration])
         starts = [new_net(problem.sizes, [seed, iteration, 1 + k]) for k in range(setting.nets)]
         new: list[Nets] = [(net,) for net in _fit_all(starts, x, y, setting.epochs)]
         if setting.symmetric:
             new = [(net, mirror_image(net, problem.description)) for (net,) in new]
         nets = tuple(chain.from_iterable(new))
         members += new
-    if model is not None:
-        costs = trial_costs(problem, model, transitions, members, np.random.default_rng([seed, 2_000_003]), known)
+    if known is not None:
+        costs = trial_costs(problem, known, members, np.random.default_rng([seed, 2_000_003]))
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets
 
 
 def trial_costs(
-    problem: Problem,
-    model: CarModel,
-    record: Transitions,
-    members: Sequence[Nets],
-    rng: np.random.Generator,
-    known: Explained | None = None,
+    problem: Problem, known: Explained, members: Sequence[Nets], rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Mean cost of a sample (members,) with each member of an ensemble alone at the wheel of the learned car.
 
     TRIALS drives of TRIAL samples, or until they fail, which costs 1 a sample from then on. All members meet the same:
     what the model left unexplained of the record (noise, bends, changes of speed), in the order in which it was
-    recorded. The learned car has no dead time, and the noise of a forecast over it is left out. known: `explained` of
-    model and record.
+    recorded. The learned car has no dead time, and the noise of a forecast over it is left out.
     """
     policy = NfqPolicy(actions=tuple(problem.actions), continuous=problem.continuous)
     order = np.argsort(np.abs(problem.actions), kind="stable")
-    near, (before, felt, unexplained) = near_path(record), known or explained(model, record)
+    model, record, before, felt, unexplained = known
+    near = near_path(record)
     place = rng.integers(len(near), size=TRIALS)
     s, earlier = record.s[near[place]].copy(), before[near[place]]
     s[:, E] = 0.0
@@ -334,12 +329,7 @@ def trial_costs(
 
 
 def _patterns(
-    problem: Problem,
-    transitions: Transitions,
-    nets: Nets,
-    model: CarModel | None,
-    seed: list[int],
-    known: Explained | None,
+    problem: Problem, transitions: Transitions, nets: Nets, known: Explained | None, seed: list[int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """What a fit learns: patterns and targets of recorded transitions, of hints, and of imagined ones."""
     setting, description = problem.fit, problem.description
@@ -347,12 +337,12 @@ def _patterns(
     hints = goal_patterns(problem, np.random.default_rng([*seed, 0]))
     x = [problem.patterns(recent.s, recent.a), hints]
     y = [targets(problem, recent, nets), np.zeros(len(hints), dtype=np.float32)]
-    if model is not None:
+    if known is not None:
         rng = np.random.default_rng([*seed, 1_000_003])
-        near = imagine(model, transitions, description, setting.imagined, rng, known)
+        near = imagine(known, description, setting.imagined, rng)
         a = rng.choice(np.array(problem.actions), setting.imagined) / description.excess(near.s[:, V]) ** 2
         x.append(problem.patterns(near.s, a))
-        y.append(imagined_targets(problem, model, near, a, nets))
+        y.append(imagined_targets(problem, known.model, near, a, nets))
     if setting.mirror:
         x, y = [*x, *(mirror_patterns(description, part) for part in x)], [*y, *y]
     return np.concatenate(x), np.concatenate(y)

@@ -265,8 +265,10 @@ class Imagined:
 
 
 class Explained(NamedTuple):
-    """What a model makes of a record, row by row."""
+    """A record, the model of its car, and what that makes of it, row by row."""
 
+    model: CarModel
+    record: Transitions
     earlier: Array
     """doe one sample before (n,) [rad]."""
     felt: Felt | None
@@ -278,25 +280,18 @@ class Explained(NamedTuple):
 def explained(model: CarModel, record: Transitions) -> Explained:
     """What the model makes of the record."""
     earlier, felt = earlier_doe(record), model.felt(record)
-    return Explained(earlier, felt, record.s_next - model.step(record.s, record.a, earlier, felt))
+    return Explained(model, record, earlier, felt, record.s_next - model.step(record.s, record.a, earlier, felt))
 
 
-def imagine(
-    model: CarModel,
-    record: Transitions,
-    description: StateDescription,
-    count: int,
-    rng: np.random.Generator,
-    known: Explained | None = None,
-) -> Imagined:
+def imagine(known: Explained, description: StateDescription, count: int, rng: np.random.Generator) -> Imagined:
     """`count` states: recorded ones, mirrored at random, at another speed, moved a little, in another steady bend.
 
     Those recorded under the recovery controller count within TRIP of the path: further off the learner never steers.
     The speed is drawn from the recorded range, a quarter wider at either end; e, the heading, r_e and doe are moved by
     SPREAD of the description's half ranges, mostly less; the steady bend is drawn from all that the wheel can steer.
-    known: `explained` of the two, which need not be computed again then.
     """
-    near, (earlier, felt, residual) = near_path(record), known or explained(model, record)
+    model, record, earlier, felt, residual = known
+    near = near_path(record)
     row = near[rng.integers(len(near), size=count)]
     signs = np.where(np.array(description.mirror_signs) < 0.0, rng.choice([-1.0, 1.0], count)[:, None], 1.0)
     s = record.s[row] * signs

@@ -149,8 +149,8 @@ def fit(
 
 
 def predictor(net: Net, n_in: int, *, engine: Engine = "auto") -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    """What `predict` is for one net, a function of x (n, n_in), where it is asked often: checked and laid out once."""
-    check_net(net, n_in, "rprop.predict")
+    """The net's outputs (n,), as a function of x (n, n_in); NumPy stands in where there is no C."""
+    check_net(net, n_in, "rprop.predictor")
     if engine_of(engine) == "torch":
         return lambda x: forward(net, np.asarray(x, dtype=np.float32)).astype(np.float32, copy=False)
     weights = flat(net)
@@ -161,11 +161,6 @@ def predictor(net: Net, n_in: int, *, engine: Engine = "auto") -> Callable[[NDAr
         return q
 
     return predicted
-
-
-def predict(net: Net, x: NDArray[np.float32], *, engine: Engine = "auto") -> NDArray[np.float32]:
-    """The net's outputs (n,) for x (n, n_in); NumPy stands in where there is no C."""
-    return predictor(net, x.shape[1] if x.ndim == 2 else -1, engine=engine)(x)
 
 
 def _torch_fit(

@@ -220,7 +220,7 @@ def test_of_all_nets_those_stay_that_drive_the_learned_car_best(
     asked = problem(nets=2, epochs=0, iterations=2, imagined=10, symmetric=symmetric)
     seen: list[Any] = []
 
-    def costs(problem: Problem, model: object, record: object, members: Any, rng: object, known: object) -> np.ndarray:
+    def costs(problem: Problem, known: object, members: Any, rng: object) -> np.ndarray:
         seen.append(members)
         return np.arange(len(members))[::-1] % 4.0  # 1 0 3 2 1 0 for the six of the second update
 

@@ -15,7 +15,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import STANDARD, FitSetting, Problem, imagined_targets
-from steerkit.learning.nfq.model import CarModel, believed_loss, earlier_doe, follow, imagine
+from steerkit.learning.nfq.model import CarModel, believed_loss, earlier_doe, explained, follow, imagine
 from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS, CAR, driven
 
@@ -104,7 +104,7 @@ def test_imagined_states_cover_all_bends_and_carry_what_the_model_missed() -> No
     record = driven()
     shifted = Transitions()
     shifted.extend(record.s, record.a, record.s_next + np.array([0.01, 0, 0, 0, 0, 0]), record.episode)
-    near = imagine(CAR, shifted, STANDARD, 4000, np.random.default_rng(0))
+    near = imagine(explained(CAR, shifted), STANDARD, 4000, np.random.default_rng(0))
     assert near.s[:, 5].min() < -8.5
     assert near.s[:, 5].max() > 8.5
     np.testing.assert_allclose(np.abs(near.residual[:, 0]), 0.01, atol=1e-12)
@@ -117,13 +117,13 @@ def test_imagined_states_cover_all_bends_and_carry_what_the_model_missed() -> No
 def test_a_learner_is_not_imagined_where_recovery_alone_has_been() -> None:
     record, aside = driven(), np.array([2.0, 0, 0, 0, 0, 0])
     record.extend(record.s + aside, record.a, record.s_next + aside, record.episode, False)
-    assert np.abs(imagine(CAR, record, STANDARD, 4000, np.random.default_rng(0)).s[:, 0]).max() < 1.5
+    assert np.abs(imagine(explained(CAR, record), STANDARD, 4000, np.random.default_rng(0)).s[:, 0]).max() < 1.5
 
 
 def test_imagined_targets_by_hand() -> None:
     cost = TanhCost(goal=0.1, step=0.04, action_cost=0.01)
     asked = Problem(actions=ACTIONS, cost=cost, fit=FitSetting(discount=0.9, horizon=3))
-    near = imagine(CAR, driven(), STANDARD, 3, np.random.default_rng(0))
+    near = imagine(explained(CAR, driven()), STANDARD, 3, np.random.default_rng(0))
     near.s[:] = [[0.0, 0, 5.0, 0, 0, 0], [0.0, 0, 5.0, 0, 0, 0], [0.49, 4.0, 5.0, 0.8, 0, 0]]
     near.residual[:], near.earlier[:] = 0.0, 0.0
     a = np.array([0.0, 0.3, 0.0])
@@ -153,13 +153,13 @@ def test_trials_by_hand() -> None:
     asked = Problem(actions=ACTIONS, cost=cost)
     turning = np.array([[0, 0, 0, 0, 0, 0, -1.0]], np.float32), np.zeros(1, np.float32)
     members = [(level(0.2),), (turning,)]
-    still, turned = nfq.trial_costs(asked, CAR, straight_on(), members, np.random.default_rng(3))
+    still, turned = nfq.trial_costs(asked, explained(CAR, straight_on()), members, np.random.default_rng(3))
     rng = np.random.default_rng(3)
     rng.integers(50, size=nfq.TRIALS)
     e = 2.0 * 0.1 * rng.uniform(-1.0, 1.0, nfq.TRIALS // nfq.FAR)
     assert still == pytest.approx(0.04 * (np.tanh(e * np.arctanh(np.sqrt(0.95)) / 0.1) ** 2).sum() / nfq.TRIALS)
     assert 0.3 < turned < 1.0
-    crooked, _ = nfq.trial_costs(asked, CAR, straight_on(yaw=0.02), members, np.random.default_rng(3))
+    crooked, _ = nfq.trial_costs(asked, explained(CAR, straight_on(yaw=0.02)), members, np.random.default_rng(3))
     assert 0.3 < crooked < 1.0
 
 
@@ -170,8 +170,8 @@ def test_trials_are_driven_as_the_policy_would() -> None:
     costs = []
     for continuous in (False, True):
         asked = Problem(actions=ACTIONS, cost=TanhCost(action_cost=0.1), continuous=continuous)
-        together = nfq.trial_costs(asked, CAR, record, [(net,) for net in nets], np.random.default_rng(0))
-        each = [nfq.trial_costs(asked, CAR, record, [(net,)], np.random.default_rng(0))[0] for net in nets]
+        together = nfq.trial_costs(asked, explained(CAR, record), [(net,) for net in nets], np.random.default_rng(0))
+        each = [nfq.trial_costs(asked, explained(CAR, record), [(net,)], np.random.default_rng(0))[0] for net in nets]
         np.testing.assert_allclose(together, each, rtol=1e-6)
         costs.append(together)
     assert not np.allclose(*costs)
@@ -214,7 +214,7 @@ def test_imagined_cars_drive_greedily_until_they_fail(horizon: int) -> None:
     setting = FitSetting(horizon=horizon, discount=0.9, nets=2)
     asked = Problem(actions=ACTIONS, cost=TanhCost(trip=0.3), fit=setting)
     nets = tuple(tuple(4.0 * p for p in net) for net in nfq.fresh_nets(setting, seed=3))
-    near = imagine(model, driven(model), STANDARD, 150, np.random.default_rng(5))
+    near = imagine(explained(model, driven(model)), STANDARD, 150, np.random.default_rng(5))
     rng = np.random.default_rng(6)
     near.residual[:] = rng.normal(0.0, 0.02, near.residual.shape)
     near.s[:, 0] *= 2.0
@@ -231,7 +231,7 @@ def test_imagined_cars_at_speed_turn_the_wheel_less_and_lie_nearer_to_the_record
     fast = replace(STANDARD, scaled_from=2.0, action_scale=max(ACTIONS))
     setting = FitSetting(horizon=3, nets=2)
     nets = tuple(tuple(4.0 * p for p in net) for net in nfq.fresh_nets(setting, seed=3))
-    near, plain = (imagine(CAR, driven(), d, 150, np.random.default_rng(5)) for d in (fast, STANDARD))
+    near, plain = (imagine(explained(CAR, driven()), d, 150, np.random.default_rng(5)) for d in (fast, STANDARD))
     excess = fast.excess(near.s[:, 2])
     assert excess.min() > 1.5
     bend = np.abs(near.s[:, 5])
@@ -264,7 +264,7 @@ def test_an_imagined_state_is_the_recorded_one_in_another_bend_at_another_speed(
     s = np.array([[0.1, 0.3, 5.0, 0.02, -0.05, 1.0], [0.12, 0.35, 6.0, 0.03, -0.04, 1.5]])
     record = Transitions()
     record.extend(s, [0.5, 0.3], s[[1, 1]] + 0.01, 0)
-    late = imagine(model, record, STANDARD, 400, np.random.default_rng(seed))
+    late = imagine(explained(model, record), STANDARD, 400, np.random.default_rng(seed))
     signs = np.where(late.s[:, 0] < 0.0, -1.0, 1.0)
     row = np.where(np.isclose(np.abs(late.s[:, 0]), 0.1), 0, 1)
     assert 100 < row.sum() < 300
@@ -294,7 +294,7 @@ def test_a_car_that_feels_another_angle_is_imagined_with_it() -> None:
     there = torque.step(s[:-1], a, earlier, felt)
     mirrored = torque.step(-s[:-1] * (1, 1, -1, 1, 1, 1), -a, -earlier, felt.part(slice(None), -1.0))
     np.testing.assert_allclose(mirrored, there * (-1, -1, 1, -1, -1, -1), atol=1e-15)
-    near = imagine(torque, record, STANDARD, 400, np.random.default_rng(0))
+    near = imagine(explained(torque, record), STANDARD, 400, np.random.default_rng(0))
     assert near.felt is not None
     off = np.abs(np.array(near.felt) - near.s[:, 5])
     for row in range(4):
@@ -308,7 +308,7 @@ def test_a_heading_is_imagined_with_its_sideways_speed() -> None:
     s = np.array([[0.1, 0.3, 5.0, 0.02, -0.05, 1.0]])
     record = Transitions()
     record.extend(s, [0.5], s, 0)
-    near = imagine(CAR, record, tight, 500, np.random.default_rng(2))
+    near = imagine(explained(CAR, record), tight, 500, np.random.default_rng(2))
     signs = -np.sign(near.residual[:, 5])  # the wheel did not turn by the action, 0.5 rad
     slip = near.s[:, 1] / near.s[:, 2] - near.s[:, 3] - RATIO * (near.s[:, 5] - signs * 1.0)
     np.testing.assert_allclose(slip, signs * (0.3 / 5.0 - 0.02), atol=1e-9)
@@ -319,7 +319,7 @@ def test_imagined_states_lie_within_an_eighth_of_the_half_ranges_mostly() -> Non
     """0.13 of the half range by 2 u^2, u even in [0, 1]: a deviation of 0.13*2/sqrt(5)."""
     record = Transitions()
     record.extend(np.array([[0.0, 0.0, 5.0, 0.0, 0.0, 0.0]]), [0.0], np.array([[0.0, 0.0, 5.0, 0.0, 0.0, 0.0]]), 0)
-    near = imagine(CAR, record, STANDARD, 20_000, np.random.default_rng(0))
+    near = imagine(explained(CAR, record), STANDARD, 20_000, np.random.default_rng(0))
     for column in (0, 4):
         assert near.s[:, column].std() == pytest.approx(0.13 * 2.0 / 5.0**0.5 * STANDARD.half[column], rel=0.03)
 
