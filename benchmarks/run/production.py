@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -32,6 +33,26 @@ def config_of(name: str, course: str = "highway", **limits: float) -> CarConfig:
     return Reading(name, data, {"config.toml": text}, where).config(None)
 
 
+class _Timed:
+    """The library behind a port, and what its two calls took together [s]."""
+
+    def __init__(self, interface: Any):
+        self._interface = interface
+        self.update_s = self.apply_s = 0.0
+
+    def update(self, *given: Any) -> Any:
+        began = time.perf_counter()
+        state = self._interface.update(*given)
+        self.update_s += time.perf_counter() - began
+        return state
+
+    def apply(self, *given: Any) -> Any:
+        began = time.perf_counter()
+        frames = self._interface.apply(*given)
+        self.apply_s += time.perf_counter() - began
+        return frames
+
+
 class PortedCar:
     """A production car behind its port, for whoever speaks to a kit: `receive` commands, `advance` it in time."""
 
@@ -39,7 +60,7 @@ class PortedCar:
         self.config, self.judge = config, judge
         self.car, self.port = ProductionCar(config, path, judge=judge, **more), Port(config)
         self.due = self.car.car.t + STEP
-        self.update_s = self.apply_s = 0.0
+        self.port.interface = self.library = _Timed(self.port.interface)
         self.steps = 0
         self.listen: Callable[[Frame], None] = lambda frame: None
         """Is given every frame to the car."""
@@ -67,7 +88,6 @@ class PortedCar:
                 self.port.receive(self.due, frame)
             step = self.port.step(self.due)
             self.steps += 1
-            self.update_s, self.apply_s = self.update_s + step.update_s, self.apply_s + step.apply_s
             for frame in step.to_car:
                 self.listen(frame)
                 self.car.receive(self.due, frame)

@@ -167,8 +167,8 @@ def driven(piece: tuple[str, str, float, int, tuple[float, float] | None]) -> di
         "rejected": counts.rejected,
         "not_in_order": counts.not_in_order,
         "ended": drive.ended,
-        "update_ms": 1e3 * port.update_s / port.steps,
-        "apply_ms": 1e3 * port.apply_s / port.steps,
+        "update_ms": 1e3 * port.library.update_s / port.steps,
+        "apply_ms": 1e3 * port.library.apply_s / port.steps,
     }
 
 

@@ -31,7 +31,7 @@ from steerkit._support.errors import require
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.motion import ASTRAY, HORIZON
 from steerkit.car.protocol import Adapted, Beat, Filtered, Snapshot
-from steerkit.car.state_machine import Mode, Order
+from steerkit.car.state_machine import Mode, Order, age_ms
 from steerkit.controllers.fail_safe import said
 from steerkit.controllers.safety_filter import doubted
 from steerkit.diagram.units import degrees_of
@@ -199,7 +199,7 @@ class Panel:
             ("e, psi_e", f"{s.e:+.3f} m   {degrees_of(s.psi_e):+.1f} deg"),
             ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {sent}, asked for {asked}{who}"),
             ("speed", f"{s.v:.2f} m/s, kit {s.v_kit:.2f} m/s   torque {s.torque:+.1f} N m"),
-            ("ages", f"pose {_ms(s.pose_age)}, report {_ms(s.report_age)}, request {_ms(s.request_age)}"),
+            ("ages", f"pose {age_ms(s.pose_age)}, report {age_ms(s.report_age)}, request {age_ms(s.request_age)}"),
             ("witness", witness_line(s.astray)),
             ("errors", f"{s.errors:.0f}   frames sent {s.frames_sent:.0f}"),
             ("steps", steps),
@@ -251,10 +251,6 @@ def filter_line(last: Filtered, corrections: Collection[bool]) -> str:
     often = f"; changed {100.0 * sum(corrections) / len(corrections):.1f} % of the last minute" if corrections else ""
     beyond = f"; {found}" if (found := doubted(last.late, last.widened)) else ""
     return f"{said(last.reason)}{share}, reach {last.reach:.2f} m{often}{beyond}"
-
-
-def _ms(age: float) -> str:
-    return f"{1e3 * age:.0f} ms" if age < 100.0 else "never"
 
 
 def _in_foreground() -> bool:

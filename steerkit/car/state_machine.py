@@ -197,7 +197,8 @@ ANEW = "if its clock was set anew, acknowledge (a) while in STANDBY"
 """The way back from a time stamp that misleads."""
 
 
-def _ms(age: float) -> str:
+def age_ms(age: float) -> str:
+    """An age [s] in words."""
     return f"{1e3 * age:.0f} ms" if math.isfinite(age) else "never came"
 
 
@@ -225,10 +226,10 @@ def always(li: StateLimits, f: Facts) -> Iterator[str]:
     if not f.connected:
         yield "controller gone: no controller is connected"
     if not f.report_age < li.report_age:
-        yield f"report stale: report {_ms(f.report_age)}"
+        yield f"report stale: report {age_ms(f.report_age)}"
     if not f.pose_age < li.pose_age:
-        late = f", {_ms(f.pose_late)} of it by its time stamp: {ANEW}" if f.pose_late > 0.02 else ""
-        yield f"pose stale: pose {_ms(f.pose_age)}{late}"
+        late = f", {age_ms(f.pose_late)} of it by its time stamp: {ANEW}" if f.pose_late > 0.02 else ""
+        yield f"pose stale: pose {age_ms(f.pose_age)}{late}"
     if f.integrity_errors >= li.integrity_errors:
         yield f"integrity: {f.integrity_errors} errors within 1 s, last: {f.integrity}"
     if f.kit_faults:
@@ -248,10 +249,10 @@ def always(li: StateLimits, f: Facts) -> Iterator[str]:
     if f.misses >= li.misses:
         yield f"missed deadlines: {f.misses} missed deadlines of the controller within 1 s"
     if not f.lateness < li.lateness:
-        yield f"server late: own delay {_ms(f.lateness)}"
+        yield f"server late: own delay {age_ms(f.lateness)}"
     if not f.heartbeat_age < li.heartbeat:
         who = f"the panel that engaged ({f.holder}) has not" if f.holder else "no panel has"
-        yield f"operator silent: {who} read its keys since {_ms(f.heartbeat_age)}; open one on a terminal"
+        yield f"operator silent: {who} read its keys since {age_ms(f.heartbeat_age)}; open one on a terminal"
     if not (f.v >= -li.v_reverse and f.v_kit >= -li.v_reverse):
         yield f"reversing: {min(f.v, f.v_kit):.2f} m/s"
     if f.foreign:
@@ -263,13 +264,13 @@ def always(li: StateLimits, f: Facts) -> Iterator[str]:
 def driving(li: StateLimits, f: Facts) -> Iterator[str]:
     """What must hold while engaged."""
     if not f.request_age < li.request_lost:
-        yield f"controller silent: last request {_ms(f.request_age)} ago"
+        yield f"controller silent: last request {age_ms(f.request_age)} ago"
     if not f.enabled and f.engaged_for >= li.enable_time:
         yield "kit not enabled: the kit does not report that it is enabled"
     if not f.echo_age < li.echo_age:
-        yield f"command echo: that of {_ms(f.echo_age)} ago"
+        yield f"command echo: that of {age_ms(f.echo_age)} ago"
     if not f.follow_age < li.follow_time:
-        off = f"off by more than {degrees_of(li.follow_angle):.0f} deg for {_ms(f.follow_age)}"
+        off = f"off by more than {degrees_of(li.follow_angle):.0f} deg for {age_ms(f.follow_age)}"
         yield f"wheel does not follow: {off}"
     if not abs(f.psi_e) <= li.psi_e_max:
         yield f"across the path: psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_max):.0f} deg"
@@ -289,7 +290,7 @@ def foreign_enable(li: StateLimits, f: Facts) -> Iterator[str]:
     """Neither the human nor this server steers: a fault when armed, told in every state but ENGAGED."""
     if not f.foreign_enable < li.foreign_enable:
         why = "another program steers, or the kit does not let go: switch it off"
-        yield f"foreign enable: the kit has been enabled for {_ms(f.foreign_enable)}, and not by us; {why}"
+        yield f"foreign enable: the kit has been enabled for {age_ms(f.foreign_enable)}, and not by us; {why}"
 
 
 def latched(li: StateLimits, f: Facts) -> Iterator[str]:
@@ -303,7 +304,7 @@ def engaging(li: StateLimits, f: Facts) -> Iterator[str]:
     if f.listen_only:
         yield "listen only: the car server was started to listen only"
     if not f.request_age < li.request_age:
-        yield f"request stale: last request {_ms(f.request_age)} ago"
+        yield f"request stale: last request {age_ms(f.request_age)} ago"
     if not abs(f.request - f.delta_sw) <= li.delta_engage:
         yield f"command differs: asks for {degrees_of(f.request):.0f} deg at {degrees_of(f.delta_sw):.0f} deg"
     if not abs(f.e) <= li.e_engage:

@@ -7,7 +7,6 @@ interface for the platform, which reads the car's frames and writes those that s
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
 from typing import Any, NamedTuple
 
@@ -58,10 +57,6 @@ class Step(NamedTuple):
     to_car: list[Frame]
     reports: list[tuple[int, bytes]]
     """(id, data) for the car server."""
-    update_s: float
-    """What reading the car's frames took [s]."""
-    apply_s: float
-    """What writing those to it took [s]."""
 
 
 class Port:
@@ -81,12 +76,12 @@ class Port:
         from opendbc.car.can_definitions import CanData
 
         self.config, self.platform = config, platform(config.port)
-        self._interface = self.platform.interface()
+        self.interface = self.platform.interface()
         self._control, self._can_data = structs.CarControl, CanData
         self._readers = [r for r in config.readers if r.name.startswith("PORT_")]
         self._pending: list[tuple[int, bytes, int]] = []
         self._heard = self._received = self._released = self._other = -math.inf
-        self._steers = steering_messages(self.platform, self._interface)
+        self._steers = steering_messages(self.platform, self.interface)
         self._own: set[tuple[int, int]] = set()  # (id, bus) of the frames that steer
         self._command, self._enable = math.nan, False
         self._rejected: deque[float] = deque()
@@ -135,9 +130,7 @@ class Port:
         nanos = round(t * 1e9)
         frames = [self._can_data(*frame) for frame in self._pending]
         self._pending.clear()
-        began = time.perf_counter()
-        state = self._interface.update([(nanos, frames)])
-        update_s, apply_s = time.perf_counter() - began, 0.0
+        state = self.interface.update([(nanos, frames)])
         while self._rejected and self._rejected[0] <= t - 1.0:
             self._rejected.popleft()
         silent = not t - self._received < SILENCE
@@ -147,14 +140,12 @@ class Port:
         sends: list[Frame] = []
         if not silent:
             request = self._request(state, self.steering)
-            began = time.perf_counter()
-            _, frames_out = self._interface.apply(request.as_reader(), nanos)
-            apply_s = time.perf_counter() - began
+            _, frames_out = self.interface.apply(request.as_reader(), nanos)
             sends = [Frame(a, bytes(d), b) for a, d, b in frames_out if b < SENT_BUS]
             self._own.update((frame.frame_id, frame.bus) for frame in sends if frame.frame_id in self._steers)
         reports = self._reports(t, state)
         now = self._k % 2 == 0 and self._received > -math.inf
-        return Step(sends, reports if now else [], update_s, apply_s)
+        return Step(sends, reports if now else [])
 
     def _flags(self, t: float, state: Any, *, silent: bool) -> dict[str, bool]:
         numbers = state.steeringAngleDeg + state.vEgoRaw

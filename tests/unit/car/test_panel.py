@@ -220,10 +220,6 @@ def test_what_a_lie_can_do_is_told_in_metres_and_seconds() -> None:
     assert [text.split(": ")[1] for text in told[1:]] == ["in 10.0 s", "not in 10 s", "not known yet"]
 
 
-def test_an_age_is_told_in_milliseconds_until_there_is_none() -> None:
-    assert [panel._ms(age) for age in (0.0504, 99.9, 100.0, float("inf"))] == ["50 ms", "99900 ms", "never", "never"]
-
-
 def test_the_filters_line_says_what_it_did_and_how_often() -> None:
     corrected = Filtered(0.3, 0.2, 0.25, 0.61, 2.0, 0.0, 1.4)
     assert filter_line(corrected, [True, False, False, False]) == (

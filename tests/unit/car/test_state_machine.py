@@ -14,6 +14,7 @@ from steerkit.car.state_machine import (
     Mode,
     Order,
     StateLimits,
+    age_ms,
     always,
     driving,
     ending,
@@ -146,6 +147,7 @@ def test_every_fault_in_every_state_under_every_order(name: str) -> None:
 
 
 def test_what_never_came_is_said_so() -> None:
+    assert [age_ms(age) for age in (0.0504, 99.9, math.inf, math.nan)] == ["50 ms", "99900 ms", *["never came"] * 2]
     assert "report stale: report never came" in [*always(LIMITS, Facts())]
     assert "report stale: report 250 ms" in [*always(LIMITS, GOOD._replace(report_age=0.25))]
     assert "end of the course" in names(Facts(), engaging)
