@@ -202,7 +202,9 @@ def read_mf4(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
             with Bounded(path) as stream, asammdf.MDF(stream) as file:
                 tables = _tables(file, notes)
                 if dbc:
-                    tables += _buses(file, dbc, notes)
+                    databases = {"CAN": [(database(name), 0) for name in dbc]}
+                    with file.extract_bus_logging(database_files=databases) as signals:
+                        tables += _tables(signals, notes)
         except Exception as error:  # asammdf lets anything out when the bytes are not what it expects
             trouble = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
     require(not trouble, str(path), f"no MDF 4 file, cut off, or spoilt ({trouble})")
@@ -241,41 +243,22 @@ def _tables(file: Any, notes: list[str]) -> list[Table]:
     for g, group in enumerate(file.groups):
         if getattr(group, "channel_group", None) is not None and group.channel_group.flags & 0x2:
             continue  # frames of a bus, not signals
-        master = file.masters_db.get(g)
         columns, units, t = dict[str, np.ndarray](), dict[str, str](), None
-        for c, channel in enumerate(group.channels):
-            if c == master:
+        for c in (c for c in range(len(group.channels)) if c != file.masters_db.get(g)):
+            signal = file.get(group=g, index=c)
+            values = np.asarray(signal.samples)
+            if values.dtype.kind not in "fiub" or values.ndim != 1:
                 continue
-            read = _channel(file, g, c)
-            if read is None:
-                continue
-            times, numbers, unit = read
-            if len(numbers) != len(times):
+            if len(values) != len(signal.timestamps):
                 lost += 1
                 continue
-            t = times if t is None else t
-            columns[channel.name], units[channel.name] = numbers, unit
+            numbers = values.astype(float)
+            if signal.invalidation_bits is not None:
+                numbers[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
+            columns[signal.name], units[signal.name] = numbers, signal.unit or ""
+            t = np.array(signal.timestamps, dtype=float) if t is None else t
         if t is not None:
             tables.append(Table(columns=columns, units=units, t=t))
     if lost:
         notes.append(f"left out {lost} channels that have not as many values as times")
     return tables
-
-
-def _channel(file: Any, group: int, index: int) -> tuple[np.ndarray, np.ndarray, str] | None:
-    """Times, values and unit of a channel; None for one that holds no numbers."""
-    signal = file.get(group=group, index=index)
-    values = np.asarray(signal.samples)
-    if values.dtype.kind not in "fiub" or values.ndim != 1:
-        return None
-    numbers = values.astype(float)
-    if signal.invalidation_bits is not None:
-        numbers[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
-    return np.array(signal.timestamps, dtype=float), numbers, signal.unit or ""
-
-
-def _buses(file: Any, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
-    """What a DBC says of the frames of recorded buses."""
-    databases = {"CAN": [(database(name), 0) for name in dbc]}
-    with file.extract_bus_logging(database_files=databases) as signals:
-        return _tables(signals, notes)

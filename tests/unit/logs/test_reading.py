@@ -143,8 +143,9 @@ def test_of_an_mdf_file_those_channels_are_read_that_hold_numbers_each_with_its_
 
     held = {"t": signal(0.0, 0.1), "v": signal(1, 2, invalidation_bits=[0, 1]), "word": signal("a", "b")}
     held |= {"r": signal(3.0, 4.0, unit=None), "pairs": signal([1, 2], [3, 4])} | {k: signal(1.0) for k in ("p", "q")}
-    channels = [SimpleNamespace(name=name) for name in held]
-    groups = [SimpleNamespace(channels=channels, channel_group=SimpleNamespace(flags=flags)) for flags in (0x1, 0x2)]
+    for name, one in held.items():
+        one.name = name
+    groups = [SimpleNamespace(channels=held, channel_group=SimpleNamespace(flags=flags)) for flags in (0x1, 0x2)]
     file = SimpleNamespace(groups=groups, masters_db={0: 0}, get=lambda group, index: list(held.values())[index])
     notes: list[str] = []
     (table,) = tables._tables(file, notes)
