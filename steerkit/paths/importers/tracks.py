@@ -20,11 +20,10 @@ from steerkit.paths.importers.course import Line, distinct
 from steerkit.paths.importers.xml_stream import finite, number, records, shown, value
 from steerkit.paths.waypoints import (
     FASTEST,
-    check_gps,
     check_metres,
     check_stated,
     distances,
-    east_north,
+    placed,
     read_columns,
     said_of,
     stated,
@@ -59,11 +58,8 @@ class Track:
 
     def line(self) -> Line:
         """All of it in metres: as it is, or east and north of the first; raises ValueError for no place on Earth."""
-        a, b = np.frombuffer(self.a), np.frombuffer(self.b)
-        if self.origin_deg is None:
-            return Line(xy=np.column_stack((a, b)))
-        check_gps(a, b, self.name)
-        return Line(xy=east_north(a, b, self.origin_deg))
+        names = ("x", "y") if self.flat else ("lat", "lon")
+        return Line(xy=placed(dict(zip(names, map(np.frombuffer, (self.a, self.b)))), self.name)[0])
 
     def driven(self, noise: float, span: tuple[float, float], where: str) -> tuple[Line, list[str]]:
         """Its line without what was recorded at rest, and what was done; span: from and to, after its start [s]."""
@@ -76,32 +72,19 @@ class Track:
         line, more = (line, []) if self.drawn else cleaned(line.xy, t, v, noise, where, span)
         return line, said_of(self.bad) + more
 
-    def add(self, a: float, b: float, t: float = math.nan, v: float = math.nan) -> None:
-        """One more position."""
-        for column, one in zip((self.a, self.b, self.t, self.v), (a, b, t, v)):
-            column.append(one)
-
-    def read(self, node: Element, where: Callable[[], Iterable[float]], t: str | None, v: Element | None) -> None:
-        """One more from XML, if its latitude, longitude, time and speed are numbers and it is on Earth."""
+    def read(
+        self, where: str, place: Callable[[], Iterable[float]], t: object = None, v: Element | None = None
+    ) -> None:
+        """One more, if its latitude and longitude, or x and y, time and speed are numbers and it is on Earth."""
         try:
-            lat, lon = where()
-            require(abs(lat) <= 90.0 and abs(lon) <= 180.0, shown(node), f"is at {lat:g}, {lon:g}, expected degrees")
-            self.add(lat, lon, math.nan if t is None else _seconds(t), math.nan if v is None else value(v))
+            a, b = place()
+            require(self.flat or (abs(a) <= 90.0 and abs(b) <= 180.0), where, f"is at {a:g}, {b:g}, expected degrees")
+            read = a, b, math.nan if t is None else _seconds(str(t)), math.nan if v is None else value(v)
         except ValueError as error:
             self.bad.append(str(error))
-
-    def put(self, point: Any, t: Any) -> None:
-        """One more from GeoJSON, if it and its time are such."""
-        good = isinstance(point, list) and len(point) >= 2
-        good = good and all(type(x) in (int, float) and math.isfinite(x) for x in point)
-        if not good or not (self.flat or (abs(point[0]) <= 180.0 and abs(point[1]) <= 90.0)):
-            self.bad.append(f"coordinates: a position {point}, expected longitude and latitude, as numbers"[:200])
             return
-        try:
-            a, b = point[:2] if self.flat else point[1::-1]
-            self.add(a, b, math.nan if t is None else _seconds(str(t)))
-        except ValueError as error:
-            self.bad.append(str(error))
+        for column, one in zip((self.a, self.b, self.t, self.v), read):
+            column.append(one)
 
     def trim(self) -> None:
         """Leave out a first and a last position that are wrong: the first would be the origin of all."""
@@ -134,7 +117,7 @@ def gpx(file: str) -> list[Track]:
             tracks[-1].call(node.text or "", tracks)
         else:
             place = functools.partial(map, functools.partial(number, node), ("lat", "lon"))
-            tracks[-1].read(node, place, node.findtext("time"), next(node.iter("speed"), None))
+            tracks[-1].read(shown(node), place, node.findtext("time"), next(node.iter("speed"), None))
     return _some(tracks)
 
 
@@ -152,7 +135,7 @@ def tcx(file: str) -> list[Track]:
         elif tracks and (at := node.find("Position")) is not None:
             place = [*at.iterfind("LatitudeDegrees"), *at.iterfind("LongitudeDegrees")]
             tracks[-1].read(
-                node, functools.partial(map, value, place), node.findtext("Time"), next(node.iter("Speed"), None)
+                shown(node), functools.partial(map, value, place), node.findtext("Time"), next(node.iter("Speed"), None)
             )
     return _some(tracks)
 
@@ -177,7 +160,7 @@ def kml(file: str) -> list[Track]:
             what = f"{len(times)} times and {len(places)} positions, expected as many"
             require(len(times) == len(places), f"Track {tracks[-1].name}", what)
             for at, t in zip(places, times):
-                tracks[-1].read(node, functools.partial(map, finite, at[1::-1], ("lat", "lon")), t, None)
+                tracks[-1].read(shown(node), functools.partial(map, finite, at[1::-1], ("lat", "lon")), t)
     return _some(tracks)
 
 
@@ -275,9 +258,17 @@ def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Tra
         stamps.reverse()
         points.reverse()
         while points:
-            track.put(points.pop(), stamps.pop())  # not held twice
+            track.read("coordinates", functools.partial(_place, points.pop(), flat), stamps.pop())  # not held twice
         made.append(track)
     return made
+
+
+def _place(point: Any, flat: bool) -> list[float]:
+    """x and y, or latitude and longitude, of a position of GeoJSON."""
+    good = isinstance(point, list) and len(point) >= 2
+    good = good and all(type(x) in (int, float) and math.isfinite(x) for x in point)
+    require(good, "coordinates", f"a position {point}, expected longitude and latitude, as numbers"[:200])
+    return point[:2] if flat else point[1::-1]
 
 
 def text_of(file: str) -> str:
