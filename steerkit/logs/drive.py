@@ -486,35 +486,25 @@ def _check_speeds_unit(drive: Drive, t: Array) -> None:
     By delta_sw = a r/v + b v r + c, linear least squares over the drive: it leaves 0.35 at most of what it leaves
     with one unit, and a tenth of the wheel's variance, if v after one of the stops is taken in the other unit.
     """
-    some = slice(None, None, max(1, round(0.05 / drive.dt)))
-    use, v, r, wheel = (a[some] for a in (drive.driving, drive.v, drive.r, drive.delta_sw))
-    begins = np.flatnonzero(np.diff(use, prepend=False) & use)
-    count: NDArray[np.intp] = np.cumsum(use)
-    enough = int(5.0 / (drive.dt * (some.step or 1)))
-    begins = begins[(count[begins] > enough) & (count[-1] - count[begins] > enough)]
+    step = max(1, round(0.05 / drive.dt))
+    at = np.flatnonzero(drive.driving[::step]) * step
+    v, r, wheel = drive.v[at], drive.r[at], drive.delta_sw[at]
+    begins, enough = np.flatnonzero(np.diff(at) > step) + 1, 5.0 / (drive.dt * step)
+    begins = begins[(begins >= enough) & (len(at) - begins > enough)]
     if not len(begins) or not drive.turns:
         return
 
-    def sums(factor: float) -> Array:
-        """Normal equations up to each sample, (n, 4, 4), with v times `factor`."""
-        w = np.maximum(factor * v, 0.1)
-        rows = np.column_stack((r / w, w * r, np.ones(len(v)), wheel)) * use[:, None]
-        return np.cumsum(rows[:, :, None] * rows[:, None, :], axis=0)
+    def left(factor: float = 1.0, k: int = 0) -> float:
+        """Squares that the line leaves [rad^2], with v times `factor` from sample k on."""
+        w = np.concatenate((v[:k], factor * v[k:]))
+        rows = np.column_stack((r / w, w * r, np.ones(len(w)), wheel))
+        g = rows.T @ rows
+        return float(g[3, 3] - g[3, :3] @ np.linalg.lstsq(g[:3, :3], g[:3, 3])[0])
 
-    def left(both: Array) -> float:
-        g = both[:3, 3]
-        return float(both[3, 3] - g @ np.linalg.lstsq(both[:3, :3], g)[0])
-
-    plain = sums(1.0)
-    whole = plain[-1]
-    least = min(0.35 * left(whole), 0.1 * float(whole[3, 3] - whole[2, 3] ** 2 / whole[2, 2]))
-    other = {factor: sums(factor) for factor in (3.6, 1.0 / 3.6)}
-    found = [
-        (left(plain[k - 1] + scaled[-1] - scaled[k - 1]), factor, k) for factor, scaled in other.items() for k in begins
-    ]
-    best, factor, k = min(found)
+    least = min(0.35 * left(), 0.1 * len(wheel) * float(np.var(wheel)))
+    best, factor, k = min((left(factor, k), factor, k) for factor in (3.6, 1.0 / 3.6) for k in begins.tolist())
     if best < least:
-        row = int(np.searchsorted(t - t[0], drive.t[some][k]))
+        row = int(np.searchsorted(t - t[0], drive.t[at[k]]))
         now, then = ("m/s", "km/h") if factor > 1.0 else ("km/h", "m/s")
         raise ValueError(
             f"{drive.name}: v goes with the wheel's angle and the yaw rate as if its unit changed from {then} to {now} "
