@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import known, require
+from steerkit._support.errors import known, optional, require
 from steerkit._support.files import atomic_write, write_text
 from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
@@ -84,11 +84,7 @@ class Topics:
     """
 
     def __init__(self, *, start: int | None = None, every: float = EVERY):
-        try:
-            import foxglove
-            import foxglove.channels  # noqa: F401
-        except ImportError:
-            raise ValueError("Foxglove: needs the package foxglove-sdk: pip install 'steerkit-control[logs]'") from None
+        foxglove = optional("foxglove", "Foxglove: MCAP or a stream", "logs")
         foxglove.set_log_level(logging.CRITICAL)  # who dials a wrong number is no news on a terminal
         self.sdk, self.context = foxglove, foxglove.Context()
         self._start, self._every, self._shown_way = start, every, 0.0

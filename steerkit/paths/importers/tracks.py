@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import require
+from steerkit._support.errors import optional, require
 from steerkit._support.files import opened, read_text
 from steerkit._support.tables import seconds_of
 from steerkit.paths.importers.course import Line, distinct
@@ -198,10 +198,7 @@ def geojson(file: str) -> list[Track]:
     longitude, latitude in degrees (RFC 7946); with a `crs` member that names none in degrees, x, y in metres.
     Raises ValueError for what is no GeoJSON, damaged or cut off, and for coordinates that are no numbers.
     """
-    try:
-        import ijson
-    except ImportError:
-        raise ValueError(f"{file}: maps and tracks need a package: pip install 'steerkit-control[roads]'") from None
+    ijson = optional("ijson", f"{file}: GeoJSON", "roads")
     kind, crs, tracks = "", "CRS84", list[Track]()
     try:
         with opened(file) as stream:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path as FilePath
 from xml.etree.ElementTree import Element, ParseError
 
-from steerkit._support.errors import require
+from steerkit._support.errors import optional, require
 from steerkit._support.files import opened
 
 _DEEPEST = 100
@@ -80,17 +80,13 @@ def root_of(file: str | FilePath) -> str:
 
 def _events(file: str | FilePath) -> Iterator[tuple[str, Element]]:
     """("start" or "end", element), tags without their namespace."""
-    try:
-        from defusedxml.common import DefusedXmlException
-        from defusedxml.ElementTree import iterparse
-    except ImportError:
-        raise ValueError(f"{file}: maps and tracks need a package: pip install 'steerkit-control[roads]'") from None
+    common, reader = (optional(f"defusedxml.{name}", f"{file}: XML", "roads") for name in ("common", "ElementTree"))
     try:
         with opened(file) as stream:
-            for event, node in iterparse(stream, ("start", "end")):
+            for event, node in reader.iterparse(stream, ("start", "end")):
                 node.tag = node.tag.rpartition("}")[2]
                 yield event, node
-    except DefusedXmlException as error:
+    except common.DefusedXmlException as error:
         what = f"declares entities ({type(error).__name__}), which maps do not need and attacks do"
         raise ValueError(f"{file}: {what}; remove its <!DOCTYPE ...>") from error
     except (ParseError, LookupError, UnicodeError) as error:
