@@ -34,7 +34,7 @@ from steerkit.car import recording as recordings
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import course_of, load
 from steerkit.car.core import Core
-from steerkit.car.learner import RUN, CarLearner
+from steerkit.car.learner import CarLearner
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.settings import setting
 
@@ -150,7 +150,7 @@ class Bench:
             process.wait(20.0)
         row["ok_bus"] = row["silent_after_ms"] <= 1e3 * LIMIT and row["heard_before_ms"] < 50.0  # it did steer
         row |= self._recording(cut=victim == "server")
-        store = TransitionStore(self.folder / "run" / "transitions.db").transitions(RUN)
+        store = TransitionStore(self.folder / "run" / "transitions.db").transitions()
         row |= {"committed": state["committed"], "rows": len(store), "ok_store": len(store) >= state["committed"]}
         after_all = self.up()
         row["ok_resumed"] = after_all["began"] >= state["committed"] and after_all["net"] >= before["net"]

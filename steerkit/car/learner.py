@@ -103,7 +103,7 @@ class CarLearner:
             policy=policy,
             net=net,
             trainer=self.trainer,
-            transitions=self.store.transitions(RUN),
+            transitions=self.store.transitions(),
             also=self.store.append,
         )
         design_model = design_model_of(config)

@@ -247,7 +247,7 @@ def test_a_net_that_failed_does_not_steer_until_a_newer_one_has_taken_over_and_n
     assert steps[-1][2] >= 2
     # transitions: each of an episode's samples but its first one completes one, and they follow each other
     record = learner_state.transitions
-    assert len(record) == len(learner.store.transitions("car"))
+    assert len(record) == len(learner.store.transitions())
     same = record.episode[1:] == record.episode[:-1]
     np.testing.assert_array_equal(record.s[1:][same], record.s_next[:-1][same])
     assert sum(learning for learning, *_ in steps) - len(record) <= len(learner_state.counts.episodes)
@@ -274,7 +274,7 @@ def test_driving_under_recovery_is_recorded_for_a_model_of_the_car_and_not_what_
     np.testing.assert_array_equal(record.s[1:][follows], record.s_next[:-1][follows])
     turned = record.s_next[:, DOE] - record.s[:, DOE]
     np.testing.assert_allclose(turned[~record.own], record.a[~record.own], atol=1e-12)
-    assert same(record, learner.store.transitions("car"))
+    assert same(record, learner.store.transitions())
 
 
 def test_the_human_s_taking_the_wheel_is_no_failure_and_ends_a_recovery(

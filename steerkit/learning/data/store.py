@@ -32,6 +32,8 @@ from steerkit.learning.data.transitions import Transitions
 
 APPLICATION, SCHEMA = 0x53746565, 3
 """SQLite's application_id ("Stee") and user_version of a store."""
+RUN = 1
+"""The id of a file's run."""
 TABLES = (
     "CREATE TABLE IF NOT EXISTS meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)",
     "CREATE TABLE IF NOT EXISTS run(id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE)",
@@ -150,16 +152,16 @@ PROMISE = 1.0
 
 
 class TransitionStore:
-    """Transitions of one or several runs in one file, to append to while driving.
+    """Transitions of a run in a file, to append to while driving.
 
-    path: the file. run: label of the run to append to; the file and the run are created where they are missing, an
-    existing run is continued. Without `run` the store is only read. names: the state's columns; checked against the
-    file's (default for a new file: the standard six).
+    path: the file. run: label of the run to append to; a missing file is created, that of the same run is continued.
+    Without `run` the store is only read. names: the state's columns; checked against the file's (default for a new
+    file: the standard six).
 
     A kill of the process loses the rows of the last second at most; everything older is there, and the file opens
     again. Any number of stores may read a file while one writes to it. Close it, or use it in a `with`.
     Raises StoreError for a file that is missing (without `run`), damaged, cut short, another program's, of a newer
-    schema, or of other names.
+    schema, of other names, or of another run.
     """
 
     def __init__(self, path: Path, *, run: str | None = None, names: Sequence[str] | None = None):
@@ -169,9 +171,13 @@ class TransitionStore:
         self._writer: _Writer | None = None
         if run is not None:
             with writing(self.path) as db:
-                db.execute("INSERT OR IGNORE INTO run(label) VALUES (?)", (run,))
-                (number,) = db.execute("SELECT id FROM run WHERE label = ?", (run,)).fetchone()
-            self._writer = _Writer(self.path, number)
+                db.execute("INSERT OR IGNORE INTO run VALUES (?, ?)", (RUN, run))
+        with reading(self.path) as db:
+            held = dict(db.execute("SELECT id, label FROM run"))
+        if held != {RUN: run} and (run is not None or len(held) > 1):
+            raise StoreError(f"{path}: holds the runs {[*held.values()]}, expected {run or 'one'}; use a new file")
+        if run is not None:
+            self._writer = _Writer(self.path)
             self._end = weakref.finalize(self, _Writer.end, self._writer)  # also when the program ends unclosed
 
     # ---- writing --------------------------------------------------------------------------------------------
@@ -179,7 +185,7 @@ class TransitionStore:
     def append(self, s: Sequence[float], a: float, s_next: Sequence[float], episode: int, own: bool = True) -> None:
         """Record one transition; returns at once, whatever the disk does.
 
-        s, s_next: the state's columns (SI); a: action [rad]; episode: its number within the run; own: did the
+        s, s_next: the state's columns (SI); a: action [rad]; episode: its number; own: did the
         learner steer? Raises ValueError for a wrong length or a non-finite number, StoreError when the store was opened
         for reading or closed.
         """
@@ -230,12 +236,11 @@ class TransitionStore:
         return self._writer.fault if self._writer else ""
 
     def cut(self, rows: int) -> None:
-        """Keep the first `rows` transitions of this run only: for a run that is resumed from an earlier moment."""
+        """Keep the first `rows` transitions only: for a run that is resumed from an earlier moment."""
         require(rows >= 0, "TransitionStore.cut", f"rows = {rows}, expected >= 0")
-        writer = self._writing()
-        writer.flush(10.0)
+        self._writing().flush(10.0)
         with writing(self.path) as db:
-            db.execute("DELETE FROM transition WHERE run = ? AND n >= ?", (writer.number, rows))
+            db.execute("DELETE FROM transition WHERE run = ? AND n >= ?", (RUN, rows))
 
     def _writing(self) -> _Writer:
         if self._writer is None:
@@ -244,45 +249,21 @@ class TransitionStore:
 
     # ---- reading --------------------------------------------------------------------------------------------
 
-    def runs(self) -> dict[str, int]:
-        """The runs' labels and their numbers of committed transitions."""
-        query = "SELECT label, count(n) FROM run LEFT JOIN transition ON run = id GROUP BY id ORDER BY id"
-        with reading(self.path) as db:
-            return dict(db.execute(query).fetchall())
-
     def next_episode(self) -> int:
-        """The first episode number that this store's run has not used: where to go on counting."""
+        """The first episode number that the run has not used: where to go on counting."""
         with reading(self.path) as db:
-            query = "SELECT max(episode) FROM transition JOIN run ON run = id WHERE label = ?"
-            (last,) = db.execute(query, (self.run,)).fetchone()
+            (last,) = db.execute("SELECT max(episode) FROM transition").fetchone()
         return 0 if last is None else last + 1
 
-    def transitions(self, run: str | None = None) -> Transitions:
-        """All committed transitions, run after run in the order of recording, or those of one run.
-
-        Episode numbers of one run are as recorded; of several, each run's begin where those before it end, so that
-        they stay distinct. Raises StoreError for damaged rows, ValueError for an unknown run.
-        """
-        record = Transitions(self.names)
-        for label in self.runs() if run is None else [run]:
-            rows = self._run_of(label)
-            both = len(record) and len(rows)
-            shift = int(record.episode.max()) + 1 - int(rows.episode.min()) if both else 0
-            record.extend(rows.s, rows.a, rows.s_next, rows.episode + shift, rows.own)
-        return record
-
-    def _run_of(self, run: str) -> Transitions:
-        """The transitions of one run."""
-        query = "SELECT episode, numbers, crc FROM transition JOIN run ON run = id WHERE label = ? ORDER BY n"
+    def transitions(self) -> Transitions:
+        """All committed transitions in the order of recording; raises StoreError for damaged rows."""
+        query = "SELECT episode, numbers, crc FROM transition WHERE run = ? ORDER BY n"
         with reading(self.path) as db:
-            rows = db.execute(query, (run,)).fetchall()
-        if not rows:
-            known = self.runs()
-            require(run in known, str(self.path), f"has no run '{run}'; valid: {', '.join(known)}")
+            rows = db.execute(query, (RUN,)).fetchall()
         n = len(self.names)
         for number, (episode, numbers, crc) in enumerate(rows):
             if len(numbers) != 8 * (2 * n + 2) or checksum(episode, numbers) != crc:
-                raise StoreError(f"{self.path}: transition {number} of run '{run}' is damaged; use a copy")
+                raise StoreError(f"{self.path}: transition {number} is damaged; use a copy")
         values = np.frombuffer(b"".join([row[1] for row in rows]), dtype="<f8").reshape(-1, 2 * n + 2)
         record, episode = Transitions(self.names), np.array([row[0] for row in rows], dtype=int)
         record.extend(values[:, :n], values[:, n], values[:, n + 1 : -1], episode, values[:, -1])
@@ -292,9 +273,9 @@ class TransitionStore:
 class _Writer(threading.Thread):
     """Commits what waits, every PERIOD; a database that is busy or broken makes the rows wait, never the loop."""
 
-    def __init__(self, path: FilePath, number: int):
+    def __init__(self, path: FilePath):
         super().__init__(name="steerkit store", daemon=True)
-        self.path, self.number = path, number
+        self.path = path
         self.waiting: list[Row] = []
         self.committed, self.fault, self.ending = 0, "", False
         self._db: sqlite3.Connection | None = None  # of the thread
@@ -332,8 +313,8 @@ class _Writer(threading.Thread):
                 self._db = self._db or connect(self.path, timeout=0.2)
                 with transaction(self._db) as db:
                     query = "SELECT coalesce(max(n) + 1, 0) FROM transition WHERE run = ?"
-                    (n,) = db.execute(query, (self.number,)).fetchone()
-                    numbered = ((self.number, n + i, *row) for i, row in enumerate(rows))
+                    (n,) = db.execute(query, (RUN,)).fetchone()
+                    numbered = ((RUN, n + i, *row) for i, row in enumerate(rows))
                     db.executemany("INSERT INTO transition VALUES (?, ?, ?, ?, ?)", numbered)
         except StoreError:
             self._disconnect()

@@ -23,7 +23,7 @@ def test_rows_come_back_in_order_and_bit_for_bit(tmp_path: Path) -> None:
         store.flush()
         assert (store.committed, store.waiting, store.fault) == (301, 0, "")
         assert same(store.transitions(), whole)  # another reader, while it is open to be written
-    assert same(TransitionStore(tmp_path / "t.db").transitions("a"), whole)
+    assert same(TransitionStore(tmp_path / "t.db").transitions(), whole)
 
 
 def test_a_run_goes_on_where_it_was_and_can_be_cut_back(tmp_path: Path) -> None:
@@ -31,30 +31,28 @@ def test_a_run_goes_on_where_it_was_and_can_be_cut_back(tmp_path: Path) -> None:
     with TransitionStore(path, run="a") as store:
         assert store.next_episode() == 4
         fill(store, drive(10, seed=1, first_episode=4))
-    assert TransitionStore(path).runs() == {"a": 40}
+    assert len(TransitionStore(path).transitions()) == 40
     with TransitionStore(path, run="a") as store:
         store.cut(30)
         fill(store, drive(5, seed=2, first_episode=4))
     rows = TransitionStore(path).transitions()
     assert rows.s[30:].tobytes() == drive(5, seed=2).s.tobytes()
     assert rows.s[:30].tobytes() == drive(30).s.tobytes()
-    with TransitionStore(path, run="another") as store:
+    with TransitionStore(tmp_path / "new.db", run="a") as store:
         assert store.next_episode() == 0
 
 
-def test_runs_keep_their_order_and_their_episodes_apart(tmp_path: Path) -> None:
-    path = tmp_path / "t.db"
-    with TransitionStore(path, run="a") as a, TransitionStore(path, run="b") as b:
-        for k in range(20):  # two cars at once: rows of one run stay together all the same
-            for store, shift in ((a, 0.0), (b, 100.0)):
-                store.append([k + shift] * 6, 0.0, [k + 1 + shift] * 6, 1 + k // 10)
-                store.flush()
-    rows = TransitionStore(path).transitions()
-    np.testing.assert_array_equal(rows.s[:, 0], [*range(20), *range(100, 120)])
-    np.testing.assert_array_equal(rows.episode, [1] * 10 + [2] * 10 + [3] * 10 + [4] * 10)
-    np.testing.assert_array_equal(TransitionStore(path).transitions("b").episode, [1] * 10 + [2] * 10)
-    with pytest.raises(ValueError, match="has no run 'c'; valid: a, b"):
-        TransitionStore(path).transitions("c")
+def test_a_file_is_of_one_run(tmp_path: Path) -> None:
+    path = kept(tmp_path / "t.db", drive(3))
+    with pytest.raises(StoreError, match=r"holds the runs \['a'\], expected b; use a new file"):
+        TransitionStore(path, run="b")
+    assert len(TransitionStore(path).transitions()) == 3
+    with sqlite3.connect(path) as db:
+        db.execute("INSERT INTO run VALUES (2, 'b')")
+    db.close()
+    for run in (None, "a"):
+        with pytest.raises(StoreError, match=r"holds the runs \['a', 'b'\], expected"):
+            TransitionStore(path, run=run)
 
 
 def test_what_cannot_be_learned_from_is_refused_at_once(tmp_path: Path) -> None:
@@ -150,10 +148,10 @@ def test_kill_9_loses_at_most_the_last_second(tmp_path: Path) -> None:
         assert float(told[-1][2]) - float(told[len(rows)][2]) < 1.0
     with TransitionStore(path, run="a") as store:
         store.append([0.0] * 6, 0.0, [0.0] * 6, store.next_episode())
-    assert TransitionStore(path).runs() == {"a": len(rows) + 1}
+    assert len(TransitionStore(path).transitions()) == len(rows) + 1
 
 
 def test_a_program_that_ends_without_closing_loses_nothing(tmp_path: Path) -> None:
     code = CHILD.replace("while True", "while k < 50").replace("time.sleep(0.005)", "")
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "t.db")], check=True, capture_output=True)
-    assert TransitionStore(tmp_path / "t.db").runs() == {"a": 50}
+    assert len(TransitionStore(tmp_path / "t.db").transitions()) == 50
