@@ -388,6 +388,8 @@ def test_a_unit_of_speed_that_changes_at_a_stop_is_told_with_its_row(factor: flo
         Drive.of(columns)
     row = int(str(told.value).split("before row ")[1].split(" ")[0])
     assert 0 < columns["t"][row] - columns["t"][stop] < 25.0
+    with pytest.raises(ValueError, match=rf"before row {row} "):
+        Drive.of(columns | {"t": columns["t"] + 1000.0})  # a clock that does not begin at 0
     assert len(Drive.of(columns, trusted=True).v)
 
 
