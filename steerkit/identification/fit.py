@@ -117,8 +117,9 @@ class Estimate:
 
     @property
     def source(self) -> str:
-        """`log` (9/10 of the prior's variance is gone), `log and prior` (1/2), `prior`, `given`; or `unsteady`: thirds
-        of the log contradict each other, by something that is not in the model."""
+        """`log` (9/10 of the prior's variance is gone), `log and prior` (1/2, or what no log tells makes most of the
+        rest), `prior`, `given`; or `unsteady`: thirds of the log contradict each other, by something that is not in
+        the model."""
         if math.isnan(self.learned):
             return "given"
         if not self.steady:
@@ -502,7 +503,7 @@ class _Problem:
             parts.append((moved, own @ (squares * len(rows) + prior) @ own))
         full = np.zeros((2 * len(self.simulator.drive.v), len(theta)))
         full[self.use] = slopes / sigma**2
-        spectrum = 2.0 * np.fft.rfft(rho, len(full)).real - 1.0
+        spectrum = np.maximum(2.0 * np.fft.rfft(rho, len(full)).real - 1.0, 0.0)  # cut off it is below 0 in places
         near = np.fft.irfft(np.fft.rfft(full, axis=0) * spectrum[:, None], len(full), axis=0)
         together = moments(error)[0] ** 2 * full.T @ near
         by_blocks, by_correlation = (bread @ (s + prior) @ bread for s in (squares * blocks, together))

@@ -157,6 +157,19 @@ def test_slow_errors_count_in_full_however_short_the_blocks_are() -> None:
     assert by_blocks < 0.6 < 0.68 < by_correlation < 1.0  # the mean that is fitted takes some of the error, too
 
 
+def test_no_variance_is_negative_where_an_autocorrelation_that_is_cut_off_has_a_negative_spectrum() -> None:
+    """A constant error has rho = 1 until it is cut off; the slope swings where that window's spectrum is least."""
+    lags = np.arange(1, N // 2)
+    w = np.linspace(0.0, np.pi, 2001)
+    least = float(w[np.argmin(1.0 + 2.0 * np.cos(np.outer(w, lags)).sum(axis=1))])
+    x = np.cos(least * np.arange(N))
+    table = {"steer_ratio": replace(PRIORS["steer_ratio"], mean=10.0, deviation=1e6, low=-1e7, high=1e7)}
+    table |= {"rate_zero": replace(PRIORS["rate_zero"], deviation=0.0)}
+    one = problem(lambda sets: np.outer(x, [each["steer_ratio"] for each in sets]), 10.0 * x + 1.0, **table)
+    for covariance in one.covariance(np.array([10.0]), 1.0)[0]:
+        assert covariance[0, 0] >= 0.0
+
+
 def test_at_a_bound_the_secant_to_half_a_deviation_inside_counts() -> None:
     """12^2 with a bound at 12 and a deviation of 2: as the straight line from 11^2 to 12^2."""
     x, found = 1.0 + np.arange(N) % 3, []
