@@ -134,7 +134,8 @@ def _frames(text: bytes) -> Iterator[Frame]:
     while at + _HEAD.size <= len(text):
         frame_id, bus, length = _HEAD.unpack_from(text, at)
         at += _HEAD.size + length
-        yield Frame(frame_id, text[at - length : at], bus)
+        if at <= len(text):  # whole ones only
+            yield Frame(frame_id, text[at - length : at], bus)
 
 
 class SocketLine:
@@ -147,7 +148,8 @@ class SocketLine:
         self._end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._end.setblocking(False)
         self._end.connect(("127.0.0.1", int(port)))
-        self._end.send(b"")  # so that the car knows where its port is
+        for _ in range(2):  # so that the car knows where its port is; the second one fails if none was there to hear
+            self._end.send(b"")
 
     def receive(self) -> list[Frame]:
         try:

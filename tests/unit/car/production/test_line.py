@@ -1,5 +1,7 @@
 """The line between a port and its car."""
 
+import socket
+
 import pytest
 
 pytest.importorskip("opendbc")
@@ -44,3 +46,22 @@ def test_a_line_that_is_none_or_not_there_is_refused() -> None:
         line_of({}, platform("TESLA_MODEL_3"))
     with pytest.raises(OSError, match="cannot be opened"):
         line_of({"line": "python-can", "interface": "socketcan", "channels": ["nothere0"]}, platform("TESLA_MODEL_3"))
+
+
+def test_a_simulated_car_that_is_not_there_is_told_when_its_line_is_opened() -> None:
+    server = SocketServer()
+    server.close()
+    with pytest.raises(OSError, match="refused"):
+        SocketLine(server.channel)
+
+
+def test_a_frame_that_is_cut_off_is_no_frame() -> None:
+    """Whoever sends it: another program on this machine."""
+    server = SocketServer()
+    host, port = server.channel.split(":")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.connect((host, int(port)))
+        for text in (b"", b"\x01\x02\x03", b"\x01\0\0\0\0\x08\x01\x02"):
+            other.send(text)
+        assert server.receive() == []
+    server.close()
