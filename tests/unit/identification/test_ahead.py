@@ -138,3 +138,16 @@ def test_places_that_are_not_known_are_left_out() -> None:
     half = round(0.1 / DT)
     assert all_of_it.starts - less.starts == 100 + 2 * half + round(2.0 / DT)
     assert less.errors["lateral"]["model"] == pytest.approx(all_of_it.errors["lateral"]["model"], abs=2e-3)
+
+
+def test_a_position_that_jumps_is_left_out_and_one_that_is_held_is_not_taken() -> None:
+    """Untold, a jump of 50 m turned the heading by 0.14 rad, and all errors became metres."""
+    all_of_it = judged(WANDERING)
+    jumped = judged(replace(WANDERING, x=WANDERING.x + 50.0 * (T > 30.0)))
+    assert "left out 0.2 s in which it goes otherwise than v" in jumped.note
+    assert 0 < all_of_it.starts - jumped.starts <= round(2.4 / DT)
+    assert jumped.errors["lateral"]["model"] == pytest.approx(all_of_it.errors["lateral"]["model"], abs=2e-3)
+    each_second = np.arange(len(T)) // round(1.0 / DT) * round(1.0 / DT)
+    held = judged(replace(WANDERING, x=WANDERING.x[each_second], y=WANDERING.y[each_second]))
+    assert held.note.startswith("by v and heading, v_y is not in the log")
+    assert held.errors["lateral"]["model"][-1] < 0.1
