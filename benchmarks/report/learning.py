@@ -10,7 +10,8 @@ import numpy as np
 
 from benchmarks.report.parts import of_metric
 from benchmarks.run.results import Case, Results
-from steerkit.metrics import GOOD, TABLE, Interval, Metric, interval, share
+from benchmarks.statistics import Interval, interval, share
+from steerkit.metrics import GOOD, TABLE, Metric
 
 Curve = Mapping[str, np.ndarray]
 Band = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.report.parts import METRICS, Drives, counted, paired_means
 from benchmarks.run.results import Case, Results
-from steerkit.metrics import Interval, paired
+from benchmarks.statistics import Interval, paired
 
 JUDGED = {
     "rms_e": "cross-track error",

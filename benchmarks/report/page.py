@@ -24,7 +24,8 @@ from benchmarks.report import conditions, figures, learning, parts
 from benchmarks.report.overall import PLAIN, glances
 from benchmarks.report.verdict import verdict
 from benchmarks.run.results import Case, Results
-from steerkit.metrics import Metric, interval
+from benchmarks.statistics import interval
+from steerkit.metrics import Metric
 
 TEMPLATE = FilePath(__file__).with_name("report.html.j2")
 LINES_ON_A_MAP = 12

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.report.overall import ENOUGH, JUDGED, OPPONENT, SIGNIFICANT, headline
 from benchmarks.report.parts import counted
 from benchmarks.run.results import Case, Results
-from steerkit.metrics import Paired, paired, share
+from benchmarks.statistics import Paired, paired, share
 
 
 @dataclass(frozen=True, kw_only=True)

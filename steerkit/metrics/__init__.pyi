@@ -18,11 +18,6 @@ from .signals import rates as rates
 from .signals import rms as rms
 from .signals import share_within as share_within
 from .signals import time_over as time_over
-from .statistics import Interval as Interval
-from .statistics import Paired as Paired
-from .statistics import interval as interval
-from .statistics import paired as paired
-from .statistics import share as share
 from .steering import reversal_rate as reversal_rate
 from .table import TABLE as TABLE
 from .table import Metric as Metric

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.report.verdict import duels, verdict
 from benchmarks.run.results import Case, Results
-from steerkit.metrics import paired
+from benchmarks.statistics import paired
 from tests.support.report_results import changed
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from steerkit.metrics import interval, paired, share
+from benchmarks.statistics import interval, paired, share
 
 NEVER = math.inf
 
