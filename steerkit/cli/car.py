@@ -7,7 +7,7 @@ import json
 import math
 import sys
 from pathlib import Path as FilePath
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -22,9 +22,8 @@ from steerkit.car.panel import stream as show
 from steerkit.car.panel import witness_line
 from steerkit.car.production import table
 from steerkit.car.senses import witness
-from steerkit.car.session import Options
 from steerkit.car.state_machine import Order
-from steerkit.cli.options import CHANNEL, SOCKET, TIME_SCALE, Machine, Quiet
+from steerkit.cli.options import BusOptions, CarOptions, car_options, drive_options
 from steerkit.diagram.units import radians_of
 from steerkit.logs.foxglove import Server
 
@@ -35,10 +34,7 @@ app = typer.Typer(
 )
 
 Config = Annotated[str, typer.Option("--config", help="TOML file, or a shipped one: dbw-kit.toml.")]
-Socket = Annotated[str, typer.Option(help=SOCKET)]
-Scale = Annotated[float, typer.Option(help=TIME_SCALE)]
-RecordTo = Annotated[str, typer.Option(help="MCAP file to record to.")]
-Channel = Annotated[str, typer.Option(help=CHANNEL)]
+Socket = Annotated[str, typer.Option(help="Unix socket of the car server.")]
 
 
 @app.command()
@@ -89,11 +85,12 @@ def show_platforms(
 
 @app.command()
 def simulate(
+    ctx: typer.Context,
     config: Config = "dbw-kit.toml",
     channel: Annotated[
         str, typer.Option(help="INTERFACE:CHANNEL of python-can; default: slcan on a pseudo-terminal.")
     ] = "",
-    time_scale: Scale = 1.0,
+    time_scale: Annotated[float, typer.Option(help="How many times faster than real time.")] = 1.0,
     ratio: Annotated[float, typer.Option(help="True steering ratio over that of the data sheet.")] = 1.0,
     delay: Annotated[
         float | None, typer.Option(help="Dead time from a command to the motor (s): 0, a production car's own.")
@@ -110,29 +107,26 @@ def simulate(
     A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
     the kinds.
     """
-    bus: dict[str, Any] = {"channel": channel, "time_scale": time_scale, "log": log}
-    car: dict[str, Any] = {"ratio": ratio, "lag": lag, "offset": radians_of(offset_deg), "seed": seed}
-    own: dict[str, Any] = {"delay": delay, "v_min": v_min, "v_max": v_max}
-    raise typer.Exit(processes.simulate(config, **bus, **car, **{k: v for k, v in own.items() if v is not None}))
+    told = {name: value for name, value in ctx.params.items() if value is not None}
+    offset = radians_of(told.pop("offset_deg"))
+    raise typer.Exit(processes.simulate(**told, offset=offset))
 
 
 @app.command()
+@drive_options
 def server(
+    options: BusOptions,
     config: Config = "dbw-kit.toml",
-    socket: Socket = "",
-    recording: RecordTo = "",
-    channel: Channel = "",
-    time_scale: Scale = 1.0,
     linger: Annotated[float, typer.Option(help="End when no client has been there for so long (s).")] = 60.0,
-    realtime: Annotated[bool, typer.Option(help="Run under SCHED_FIFO; needs the right to.")] = False,
 ) -> None:
     """The process that owns the bus. `steerkit drive --car` and `learn --car` start one where there is none."""
-    bus: dict[str, Any] = {"socket": socket, "recording": recording, "channel": channel, "time_scale": time_scale}
-    raise typer.Exit(processes.server(config, **bus, linger=linger, realtime=realtime))
+    raise typer.Exit(processes.server(config, **vars(options), linger=linger))
 
 
 @app.command()
+@drive_options
 def calibrate(
+    options: CarOptions,
     config: Annotated[str, typer.Argument(help="TOML file of the car, or a shipped one.")] = "dbw-kit.toml",
     out: Annotated[FilePath | None, typer.Option(help="Vehicle file to write; default: NAME-calibrated.toml.")] = None,
     minutes: Annotated[float, typer.Option(help="How long to drive, engaged (0.1 to 60).")] = 4.0,
@@ -140,14 +134,6 @@ def calibrate(
     source: Annotated[
         FilePath | None, typer.Option("--from", help="Make the file from this recording; nothing is driven.")
     ] = None,
-    simulated: Annotated[bool, typer.Option("--simulated", help="A simulated car on a bus, started for it.")] = False,
-    socket: Socket = "",
-    recording: RecordTo = "",
-    channel: Channel = "",
-    time_scale: Scale = 1.0,
-    realtime: Annotated[bool, typer.Option("--realtime", help="Run under SCHED_FIFO, if the system lets us.")] = False,
-    quiet: Quiet = False,
-    as_json: Machine = False,
 ) -> None:
     """A guided drive that ends in a vehicle file: delay, lag, ratio, offset, friction and play, with intervals.
 
@@ -155,27 +141,17 @@ def calibrate(
     by `e`, let go by space, as in any drive. Exit code: 0; 1 when nothing was found, or a car server runs already.
     """
     place = out or FilePath(f"{FilePath(config).stem}-calibrated.toml")
-    with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
+    with contextlib.redirect_stdout(sys.stderr) if options.as_json else contextlib.nullcontext():
         try:
             if source is not None:
                 calibration.check_place(place)
-                figures = calibration.from_recording(source, place, say=not quiet)
+                figures = calibration.from_recording(source, place, say=not options.quiet)
             else:
-                options = Options(
-                    config=config,
-                    simulated=simulated,
-                    socket=socket,
-                    recording=recording,
-                    channel=channel,
-                    time_scale=time_scale,
-                    realtime=realtime,
-                    quiet=quiet,
-                )
-                figures = calibration.calibrate(options, place, base=controller, minutes=minutes)
+                figures = calibration.calibrate(car_options(options, config), place, base=controller, minutes=minutes)
         except calibration.NothingLearned as error:
             print(error, file=sys.stderr)
             raise typer.Exit(1) from None
-    if as_json:
+    if options.as_json:
         print(json.dumps(figures))
 
 

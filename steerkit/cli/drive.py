@@ -66,7 +66,7 @@ def drive(
     Several controllers drive the same course under the same conditions: one table, one picture.
     """
     elsewhere = {"seed": "nothing is drawn by lot there", "out": "say --recording FILE"}
-    check_options(ctx, not_on_a_car=elsewhere, on_a_car_only=("minutes",))
+    check_options(ctx, elsewhere)
     asked = list(names or ())
     if asked and controller and asked != [controller]:
         raise ValueError(f"two controllers, '{asked[0]}' and --controller {controller}; name one")
@@ -77,7 +77,7 @@ def drive(
             raise ValueError(f"drive: {len(asked)} controllers ({', '.join(asked)}), expected one on a car")
         if not name:
             raise ValueError(f"drive: with which controller? valid: {loops.VALID}")
-        figures = car_session.drive(car_session.Options(**car_options(ctx)), name, minutes=minutes)
+        figures = car_session.drive(car_options(options, options.car), name, minutes=minutes)
         if options.as_json:
             print(json.dumps(figures))
         return

@@ -27,6 +27,7 @@ from steerkit.cli.options import (
     check_options,
     drive_options,
     driven_on,
+    from_a_log,
     given,
     in_simulation,
     scenario_of,
@@ -43,11 +44,6 @@ from steerkit.learning.settings import changed
 from steerkit.learning.settings import setting as named
 from steerkit.logs import ColumnMap, read_drive
 from steerkit.task import DT
-
-
-def from_a_log(text: str, *names: str) -> Any:
-    """An option of learning from a recorded drive."""
-    return typer.Option(*names, help=text, rich_help_panel="From a log (with --from)")
 
 
 @drive_options
@@ -100,8 +96,9 @@ def learn(
     With --from LOG it learns from recorded driving alone: of the car --vehicle, shown on --course.
     """
     check_options(ctx)
-    _check_source(ctx)
     if source:
+        for name in given(ctx) & {"car", "minutes", "rounds", "config", "live", "stream"}:
+            raise ValueError(f"--{name} is for a car that drives: leave it out, or leave out --from")
         how: dict[str, Any] = {"delay": delay, "lag": lag, "updates": updates, "dbc": dbc or ()}
         _from_log(ctx, options, source, column_map(columns, column), out, **how)
         return
@@ -109,11 +106,7 @@ def learn(
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
         figures = car_session.learn(
-            car_session.Options(**car_options(ctx)),
-            chosen,
-            place,
-            minutes=_minutes(minutes, None) or 0.0,
-            seed=options.seed,
+            car_options(options, options.car), chosen, place, minutes=_minutes(minutes, None) or 0.0, seed=options.seed
         )
         if options.as_json:
             print(json.dumps(figures))
@@ -180,19 +173,6 @@ def _from_log(
     figures = report.show(place, quiet=options.quiet)
     if options.as_json:
         print(json.dumps(figures | {"from_log": run.source, "assumed": assumed, "run": str(place)}))
-
-
-_SOURCE_ONLY = ("delay", "lag", "updates", "columns", "column", "dbc")
-
-
-def _check_source(ctx: typer.Context) -> None:
-    """Refuse options that learning from a log has no use for, and its own without one."""
-    names, source = given(ctx), ctx.params["source"]
-    for name in sorted(names & {"car", "minutes", "rounds", "config", "live", "stream"} if source else ()):
-        raise ValueError(f"--{name} is for a car that drives: leave it out, or leave out --from")
-    for name in sorted(names & set(_SOURCE_ONLY) if not source else ()):
-        option = {"columns": "map"}.get(name, name)
-        raise ValueError(f"--{option} is for a recorded drive; name it: --from FILE, or leave --{option} out")
 
 
 def _learned(experiment: Experiment, place: Path, *, quiet: bool, live: bool, each: Any) -> LearningRun:

@@ -6,7 +6,7 @@ import contextlib
 import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
@@ -29,9 +29,7 @@ class Conditions(StrEnum):
     real = "real"
 
 
-SIMULATED, ON_CAR = "In simulation", "On a car (with --car)"
-SOCKET, TIME_SCALE = "Unix socket of the car server.", "How many times faster than real time; simulated cars only."
-CHANNEL = "slcan device or socket://, or INTERFACE:CHANNEL of python-can, instead of the file's bus."
+SIMULATED, ON_CAR, FROM_LOG = "In simulation", "On a car", "From a log (with --from)"
 Seed = Annotated[int, typer.Option(help="Seed of driver and sensors, and of a learner's nets.")]
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object, and all that is for people on stderr.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print results only, no progress.")]
@@ -46,14 +44,12 @@ Stream = Annotated[
 ]
 
 
-def in_simulation(text: str, *names: str) -> Any:
-    """An option that only a simulation has; `names` as on the command line, if the variable's does not serve."""
-    return typer.Option(*names, help=text, rich_help_panel=SIMULATED)
+def _only(panel: str) -> Callable[..., Any]:
+    """Makes options that have a use there only: by their help, and their names if the variable's does not serve."""
+    return lambda text, *names: typer.Option(*names, help=text, rich_help_panel=panel)
 
 
-def on_car(text: str, *names: str) -> Any:
-    """An option that only a session on a car has; `names` as on the command line, if the variable's does not serve."""
-    return typer.Option(*names, help=text, rich_help_panel=ON_CAR)
+in_simulation, on_car, from_a_log = map(_only, (SIMULATED, ON_CAR, FROM_LOG))
 
 
 @dataclass(frozen=True)
@@ -101,8 +97,30 @@ class SceneOptions:
 
 
 @dataclass(frozen=True)
-class DriveOptions(SceneOptions):
-    """Those, and what a session on a real car needs."""
+class BusOptions:
+    """What the process that owns a car's bus needs."""
+
+    socket: Annotated[str, on_car("Unix socket of the car server.")] = ""
+    recording: Annotated[str, on_car("MCAP file to record to; a drive's default: under runs/.")] = ""
+    channel: Annotated[
+        str, on_car("slcan device or socket://, or INTERFACE:CHANNEL of python-can, instead of the file's bus.")
+    ] = ""
+    time_scale: Annotated[float, on_car("How many times faster than real time; simulated cars only.")] = 1.0
+    realtime: Annotated[bool, on_car("Run under SCHED_FIFO, if the system lets us.", "--realtime")] = False
+
+
+@dataclass(frozen=True)
+class CarOptions(BusOptions):
+    """What a session on a car needs."""
+
+    quiet: Quiet = False
+    as_json: Machine = False
+    simulated: Annotated[bool, on_car("A simulated car on a bus, started for it.", "--simulated")] = False
+
+
+@dataclass(frozen=True)
+class DriveOptions(CarOptions, SceneOptions):
+    """The options of a drive, in simulation or on a car."""
 
     car: Annotated[
         str,
@@ -113,22 +131,17 @@ class DriveOptions(SceneOptions):
     recovery: Annotated[str, on_car("Recovery controller of a learner: stanley, stanley-delay, adaptive, or auto.")] = (
         "auto"
     )
-    simulated: Annotated[bool, on_car("A simulated car on a bus, started for it.", "--simulated")] = False
-    socket: Annotated[str, on_car(SOCKET)] = ""
-    recording: Annotated[str, on_car("MCAP file to record to; default: under runs/.")] = ""
-    channel: Annotated[str, on_car(CHANNEL)] = ""
-    time_scale: Annotated[float, on_car(TIME_SCALE)] = 1.0
-    realtime: Annotated[bool, on_car("Run under SCHED_FIFO, if the system lets us.", "--realtime")] = False
 
 
 def drive_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Put the fields of `SceneOptions`, or `DriveOptions`, on the command line, where `command` has such a parameter.
+    """Put the fields of one of these classes on the command line, where `command` has a parameter of it.
 
     typer reads a command's options off its signature, so the signature is written here: each field stands in it as a
     parameter of its own, in place of the one that gets them all.
     """
     own = inspect.signature(command, eval_str=True).parameters
-    ((receiver, kind),) = ((p.name, p.annotation) for p in own.values() if p.annotation in (SceneOptions, DriveOptions))
+    (receiver,) = (p.name for p in own.values() if is_dataclass(p.annotation))
+    kind = own[receiver].annotation
     shared = inspect.signature(kind, eval_str=True).parameters
 
     @functools.wraps(command)
@@ -163,7 +176,6 @@ _NOT_ON_A_CAR = {
     "pace": "a car has its own",
 }
 """Options of the simulation, and what a car has instead."""
-_ON_A_CAR_ONLY = ("recovery", "simulated", "socket", "recording", "channel", "time_scale", "realtime")
 
 
 def given(ctx: typer.Context) -> set[str]:
@@ -242,20 +254,25 @@ def streamed(where: str, *, pace: float = 0.0, signals: Sequence[str] | None = N
         server.end()
 
 
-def check_options(
-    ctx: typer.Context, *, not_on_a_car: Mapping[str, str] = MappingProxyType({}), on_a_car_only: Sequence[str] = ()
-) -> None:
-    """Refuse options of the simulation on a car, and the other way round, saying what there is instead."""
-    car = ctx.params["car"]
-    for name in sorted(given(ctx)):
-        option = f"--{name.removesuffix('_file').replace('_', '-')}"
-        instead = {**_NOT_ON_A_CAR, **not_on_a_car}.get(name)
+def check_options(ctx: typer.Context, not_on_a_car: Mapping[str, str] = MappingProxyType({})) -> None:
+    """Refuse options of the simulation on a car, and those of a car or a log without one, saying what to do."""
+    names, car, source = given(ctx), ctx.params["car"], ctx.params.get("source")
+    for parameter in ctx.command.params:
+        if parameter.name not in names:
+            continue
+        option, panel = parameter.opts[0], getattr(parameter, "rich_help_panel", None)
+        instead = {**_NOT_ON_A_CAR, **not_on_a_car}.get(parameter.name)
         if car and instead:
             raise ValueError(f"{option} is for simulations: {instead}; leave it out, or leave out --car")
-        if not car and name in (*_ON_A_CAR_ONLY, *on_a_car_only):
+        if panel == ON_CAR and not car:
             raise ValueError(f"{option} is for a car; name its file: --car dbw-kit.toml, or leave {option} out")
+        if panel == FROM_LOG and not source:
+            raise ValueError(f"{option} is for a recorded drive; name it: --from FILE, or leave {option} out")
 
 
-def car_options(ctx: typer.Context) -> dict[str, Any]:
-    """The options of a session on a car: the fields of `steerkit.car.session.Options`."""
-    return {"config": ctx.params["car"], **{name: ctx.params[name] for name in (*_ON_A_CAR_ONLY, "quiet")}}
+def car_options(options: CarOptions, config: str) -> Any:
+    """What a session on the car of that file is given."""
+    from steerkit.car.session import Options  # here, as it loads the learner
+
+    shared = {f.name for f in fields(Options)} & vars(options).keys()
+    return Options(config=config, **{name: getattr(options, name) for name in shared})
