@@ -59,7 +59,7 @@ class PortedCar:
     def __init__(self, config: CarConfig, path: Path, *, judge: SafetyJudge | None = None, **more: Any):
         self.config, self.judge = config, judge
         self.car, self.port = ProductionCar(config, path, judge=judge, **more), Port(config)
-        self.due = self.car.car.t + STEP
+        self.due = self.car.t + STEP
         self.port.interface = self.library = _Timed(self.port.interface)
         self.steps = 0
         self.listen: Callable[[Frame], None] = lambda frame: None
@@ -68,11 +68,11 @@ class PortedCar:
     @property
     def next(self) -> float:
         """When the next frame may come [s]."""
-        return min(self.car.car.next, self.due)
+        return min(self.car.next, self.due)
 
-    faults: Any = property(lambda self: self.car.car.faults)
-    on_path: Any = property(lambda self: self.car.car.on_path)
-    now: Any = property(lambda self: self.car.car.now)
+    faults: Any = property(lambda self: self.car.faults)
+    on_path: Any = property(lambda self: self.car.on_path)
+    now: Any = property(lambda self: self.car.now)
 
     def receive(self, t: float, frame_id: int, data: bytes) -> None:
         """A command of the car server."""
@@ -82,15 +82,14 @@ class PortedCar:
         """The frames (when, id, data) for the car server until time t [s]."""
         out: list[tuple[float, int, bytes]] = []
         while self.due <= t + 1e-9:
-            poses, frames = self.car.advance(self.due)
-            out += poses
-            for frame in frames:
+            out += self.car.advance(self.due)
+            for frame in self.car.said():
                 self.port.receive(self.due, frame)
             step = self.port.step(self.due)
             self.steps += 1
             for frame in step.to_car:
                 self.listen(frame)
-                self.car.receive(self.due, frame)
+                self.car.hear(self.due, frame)
             out += [(self.due, frame_id, data) for frame_id, data in step.reports]
             self.due += STEP
         return out

@@ -110,7 +110,7 @@ class Drive:
         if world.mode is Mode.ENGAGED:
             self.engaged_at = world.t if math.isnan(self.engaged_at) else self.engaged_at
             self.e.append(float(world.car.on_path.e))
-            self.wheel.append(float(world.car.car.car.turned))
+            self.wheel.append(float(world.car.car.turned))
 
     @property
     def ended(self) -> str:
@@ -244,7 +244,7 @@ def _hostile(name: str, frames: int, rng: np.random.Generator) -> dict[str, Any]
                 float(rng.normal()) * 0.1,
                 math.inf,
             )[kind]
-            wheel = float(car.car.car.turned)
+            wheel = float(car.car.turned)
             last = wheel if math.isnan(last) else last
             verdict = gate(config.gate, wish, last, (float(car.now.v),) * 2, RESEND)
             if verdict.send:

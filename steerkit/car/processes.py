@@ -98,7 +98,7 @@ def start_simulated(config: str, **options: Any) -> tuple[subprocess.Popen[str],
 
 
 def serve_simulated(
-    car: SimulatedCar | ProductionCar,
+    car: SimulatedCar,
     port: BusPort | SlcanPort,
     clock: Clock,
     *,
@@ -116,39 +116,35 @@ def serve_simulated(
     if faults:
         os.set_blocking(faults.fileno(), False)
     end = clock.now() + duration
-    reported, made = 0.0, car.car if isinstance(car, ProductionCar) else car
-    writer = made.config.writer
+    reported, writer = 0.0, car.config.writer
     while clock.now() < end and parent in (0, os.getppid()):
-        for frame_id, data in port.wait(clock.wall(made.next - clock.now())):
+        for frame_id, data in port.wait(clock.wall(car.next - clock.now())):
             t = clock.now()
-            if isinstance(car, SimulatedCar):
+            if not isinstance(car, ProductionCar):
                 car.receive(t, frame_id, data)
             if log and frame_id == writer.frame_id:
                 angle, enable, _ = writer.read(data)
                 log.write(f'{{"t": {t!r}, "data": "{data.hex()}", "enable": {int(enable)}, "angle": {angle!r}}}\n')
         now = clock.now()
-        if now - made.t > 1.0:  # the machine stood still; so did the car
-            made.t = now - 0.01
-        if isinstance(car, ProductionCar):
-            assert buses is not None
+        if now - car.t > 1.0:  # the machine stood still; so did the car
+            car.t = now - 0.01
+        if isinstance(car, ProductionCar) and buses:
             for frame in buses.receive():
-                car.receive(now, frame)
-            poses, frames = car.advance(now)
-            buses.send(frames)
-        else:
-            poses = car.advance(now)
-        for _, frame_id, data in poses:
+                car.hear(now, frame)
+        for _, frame_id, data in car.advance(now):
             port.send(frame_id, data)
+        if isinstance(car, ProductionCar) and buses:
+            buses.send(car.said())
         if now - reported > 0.25:
             reported = now
             for line in faults.readlines() if faults else ():
                 try:
-                    made.faults.append(fault_of(line, now))
+                    car.faults.append(fault_of(line, now))
                 except ValueError as error:
                     print(error, flush=True)
             if log:
-                place, kit = made.on_path, {"enabled": made.enabled, "timeout": made.timeout}
-                state = {"t": now, "s": place.s, "progress": place.progress, "e": place.e, "v": made.now.v, **kit}
+                place, kit = car.on_path, {"enabled": car.enabled, "timeout": car.timeout}
+                state = {"t": now, "s": place.s, "progress": place.progress, "e": place.e, "v": car.now.v, **kit}
                 log.write(json.dumps(state) + "\n")
                 log.flush()
 

@@ -83,13 +83,6 @@ class Fault:
         return self.start <= t < self.start + self.length
 
 
-def corrupted(data: bytes, dice: random.Random) -> bytes:
-    """With a bit turned over."""
-    broken = bytearray(data)
-    broken[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
-    return bytes(broken)
-
-
 class SimulatedCar:
     """Car, kit, sensors and human; `advance` it in time, `receive` what the bus brings.
 
@@ -120,7 +113,7 @@ class SimulatedCar:
         rate_zero: float = 0.0,
         bends: float = BENDS,
     ):
-        self.config, self.faults = config, list[Fault]()
+        self.config, self.readers, self.faults = config, config.readers, list[Fault]()
         self.driver = Stanley.of(config.vehicle)
         self.t, self.k = t0, 0
         self.tracker = PathTracker(path=path, reference=config.vehicle.l_f, dt=STEP)
@@ -144,7 +137,7 @@ class SimulatedCar:
         self._coming: deque[tuple[float, float]] = deque()  # commands that have not got to the motor yet
         self._waiting: list[tuple[float, int, bytes]] = []  # on the way to the bus: (when, id, data)
         self._count = dict.fromkeys((reader.frame_id for reader in config.readers), 0)
-        self._last: dict[int, bytes] = {}
+        self._last: dict[Any, bytes] = {}
         self._stuck: dict[int, dict[str, float]] = {}
         self._dice = random.Random(seed)
 
@@ -261,7 +254,7 @@ class SimulatedCar:
 
     def _send(self) -> None:
         values = self._values()
-        for reader in self.config.readers:
+        for reader in self.readers:
             pose = reader.frame_id in self.config.pose_frames
             period = reader.period or (STEP if pose else 2.0 * STEP)
             due, before = (math.floor(k * STEP / period + 1e-6) for k in (self.k, self.k - 1))
@@ -278,13 +271,17 @@ class SimulatedCar:
             flags = ("enabled", "override", "timeout", "brake", "accelerator", *self.config.fault_flags)
             values = {q: v if q in flags else math.nan for q, v in values.items()}
         self._count[frame_id] += 6 if self.fault("counter", t, target) else 1
-        data = reader.write(values, count=self._count[frame_id])
-        if self.fault("freeze", t, target):
-            data = self._last.get(frame_id, data)
-        self._last[frame_id] = data
-        if self.fault("corrupt", t, target):
-            data = corrupted(data, self._dice)
-        if self.fault("drop", t, target):
-            return
-        delay = self.fault("delay", t, target)
-        self._waiting.append((t + (delay.amount or 0.2 if delay else 0.0), frame_id, data))
+        self._on_its_way(self._waiting, frame_id, reader.write(values, count=self._count[frame_id]), target)
+
+    def _on_its_way(self, waiting: Any, frame: Any, data: bytes, target: str) -> None:
+        """Have a frame, its id or what else names it, wait with its data until it is there, as the faults have it."""
+        if self.fault("freeze", self.t, target):
+            data = self._last.get(frame, data)
+        self._last[frame] = data
+        if self.fault("corrupt", self.t, target):
+            broken = bytearray(data)
+            broken[self._dice.randrange(len(data))] ^= 1 << self._dice.randrange(8)
+            data = bytes(broken)
+        if not self.fault("drop", self.t, target):
+            late = self.fault("delay", self.t, target)
+            waiting.append((self.t + (late.amount or 0.2 if late else 0.0), frame, data))

@@ -21,7 +21,7 @@ def test_a_port_reads_the_simulated_car_and_the_safety_code_lets_it_steer(name: 
     car = ported(name)
     car.advance(1.2)
     quantum = car.config.writer.quantum
-    steered(car, 0.6, round(car.car.car.turned / quantum) * quantum)
+    steered(car, 0.6, round(car.car.turned / quantum) * quantum)
     port, counts, judge = car.port, car.car.counts, car.judge
     assert judge is not None
     assert port.steering, port.why
@@ -32,7 +32,7 @@ def test_a_port_reads_the_simulated_car_and_the_safety_code_lets_it_steer(name: 
     assert counts.sent > 20
     assert abs(port.state.vEgoRaw - car.now.v) < 0.1
     assert port.state.steeringAngleDeg == pytest.approx(
-        math.degrees(car.car.car.turned), abs=1.6 if name == "TOYOTA_COROLLA" else 0.4
+        math.degrees(car.car.turned), abs=1.6 if name == "TOYOTA_COROLLA" else 0.4
     )
 
 

@@ -100,8 +100,8 @@ def test_the_car_s_own_watchdog_lets_go_when_the_port_no_longer_sends() -> None:
     car.advance(1.2)
     steered(car, 0.3)
     made = ProductionCar(config("TESLA_MODEL_3"), course("highway"), s=10.0)
-    made.receive(0.0, next(frame for frame in heard[::-1] if frame.frame_id == 0x488))
+    made.hear(0.0, next(frame for frame in heard[::-1] if frame.frame_id == 0x488))
     made.advance(0.05)
-    assert made.car.enabled
+    assert made.enabled
     made.advance(0.05 + SILENCE + 0.05)
-    assert not made.car.enabled
+    assert not made.enabled
