@@ -50,13 +50,12 @@ def directory() -> Path:
     return Path(tempfile.mkdtemp(prefix="steerkit-"))
 
 
-def load(source: str, *, fused: bool = False, vector_maths: bool = False, optimise: bool | None = None) -> ctypes.CDLL:
+def load(source: str, *, fused: bool = False, vector_maths: bool = False, optimise: bool = False) -> ctypes.CDLL:
     """The library of a C file, compiled at the first call on this machine and found in the cache after that.
 
     fused: multiply-adds may be fused (quicker; rounded once instead of twice). vector_maths: for vectors of
-    cars; fused, and linked to glibc's libmvec where there is one. optimise: True, in full whatever $CC asks for, for
-    code that runs for minutes; False, not at all, for code that runs once; None, as $CC says. Raises NoCompilerError
-    when there is no compiler, or it refuses.
+    cars; fused, and linked to glibc's libmvec where there is one. optimise: in full whatever $CC asks for, for code
+    that runs for minutes. Raises NoCompilerError when there is no compiler, or it refuses.
     """
     tool = compiler()
     if tool is None:
@@ -64,12 +63,7 @@ def load(source: str, *, fused: bool = False, vector_maths: bool = False, optimi
         raise NoCompilerError(f"no C compiler found ({missing}): install gcc (or clang), or set CC")
     rounding = FUSED if fused or vector_maths else EXACT
     # those of $CC win over ours, but for the rounding; it may define always_inline away, to compile quickly
-    options = (
-        *FLAGS,
-        *tool[1:],
-        *{True: (FLAGS[0], "-Ualways_inline"), False: ("-O0",), None: ()}[optimise],
-        *rounding,
-    )
+    options = (*FLAGS, *tool[1:], *((FLAGS[0], "-Ualways_inline") if optimise else ()), *rounding)
     flags = (*options, *(["libmvec"] if vector_maths else []))
     key = hashlib.sha256("\0".join((source, _machine(tool[0]), *flags)).encode()).hexdigest()[:32]
     library = directory() / f"{key}.so"

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
 
 from steerkit._support.native import NoCompilerError, compiler
-from steerkit.compiled.native_program import NativeProgram, Slots
+from steerkit.compiled.native_program import NativeProgram
 from steerkit.compiled.python_code import PythonProgram
-from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, trace, with_parameters
+from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, regrouped, trace, with_parameters
 from steerkit.diagram.loop import Loop, LoopState, require_batch
 from steerkit.diagram.simulation import Log, Signal, check_finite
 
@@ -76,6 +76,10 @@ class Compiled:
     trace: Trace
 
     @cached_property
+    def _present(self) -> dict[str, Any]:
+        return {name: parameter(self.loop, name) for name in self.parameters}
+
+    @cached_property
     def _slots(self) -> list[int]:
         return [slot for name in self.record for slot in self.trace.layout.slots_of(name)]
 
@@ -114,9 +118,10 @@ class Compiled:
             for numbers in (slots, values.values())
         )
         runs = self._program.run if self.backend == "c" else self._floats
-        rows, end_of_all = runs(state.k, stop, wide, fixed)
-        rows, end = (rows[..., 0], lambda: end_of_all()[:, 0]) if cars is None else (rows, end_of_all)
-        log = self._log(state.k, stop, rows, end)
+        rows, before, carried = runs(state.k, stop, wide, fixed)
+        kept = rows[-1:].copy() if (stop - 1) % self.every == 0 else rows[:0]  # the caller may write into the rows
+        end = partial(self._state, stop, before, fixed, carried, kept, one=cars is None)
+        log = self._log(state.k, stop, rows[..., 0] if cars is None else rows, end)
         if not allow_nonfinite:
             check_finite(log)
         return log
@@ -128,7 +133,7 @@ class Compiled:
             raise ValueError(
                 f"run: parameter '{unknown[0]}' was not left open, compile(parameters=[...]); open: {open_ones}"
             )
-        present = {name: parameter(self.loop, name) for name in self.parameters}
+        present = dict(self._present)
         for name, value in given.items():
             old = present[name]
             if isinstance(old, tuple) and len(value) != len(old):
@@ -136,35 +141,44 @@ class Compiled:
             present[name] = tuple(value) if isinstance(old, tuple) else value
         return flattened(present)
 
-    def _floats(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
+    def _floats(
+        self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As `NativeProgram.run`, car by car."""
-        program, rows, ends = self._program, [], list[Any]()
-        for start, fixed in zip(slots.T.tolist(), parameters.T.tolist(), strict=True):
+        run, persistent, rows, carried = self._program.run, self.trace.persistent, list[Any](), list[Any]()
+        before = slots.copy()
+        for car, (start, fixed) in enumerate(zip(slots.T.tolist(), parameters.T.tolist(), strict=True)):
             kept: list[tuple[float, ...]] = []
-            persistent = program.run(k, stop - 1, start, fixed, kept)
-            for slot, value in zip(program.trace.persistent, persistent):
-                start[slot] = value
-            self._last_tick.run(stop - 1, stop, start, fixed, ends)
-            if (stop - 1) % self.every == 0:
-                kept.append(tuple([ends[-1][slot] for slot in self._slots]))
+            before[persistent, car] = run(k, stop - 1, start, fixed, kept)
+            carried.append(run(stop - 1, stop, before[:, car].tolist(), fixed, kept))
             rows.append(np.array(kept, dtype=float).reshape(len(kept), len(self._slots)))
-        return np.stack(rows, axis=-1), lambda: np.array(ends, dtype=float).T
+        return np.stack(rows, axis=-1), before, np.array(carried, dtype=float).reshape(len(carried), -1).T
 
     @cached_property
     def _program(self) -> Any:
         kind = NativeProgram if self.backend == "c" else PythonProgram
         return kind(self.trace, self._slots, self.every)
 
-    @cached_property
-    def _last_tick(self) -> PythonProgram:
-        return PythonProgram(self.trace, range(len(self.trace.layout)), 1)
+    def _state(self, stop: int, slots: Any, fixed: Any, carried: Any, kept: Any, *, one: bool) -> LoopState:
+        """The state after a run, by the loop itself from the slots (S, N) before the last tick; what goes on, and what
+        was kept of that tick, is as the run has rounded it: going on from there is going on."""
+        cars = zip(slots.T.tolist(), fixed.T.tolist()) if self.backend == "python" else [(slots, fixed)]
+        slots[:] = np.column_stack([self._ticked(stop - 1, *car) for car in cars])
+        slots[self.trace.persistent] = carried
+        for row in kept:
+            slots[self._slots] = row
+        x, y = self.trace.layout.unpack(slots[:, 0].tolist() if one else list(slots))
+        return LoopState(stop, tuple(x), tuple(y))
 
-    def _state(self, k: int, end: Any) -> LoopState:
-        values = [float(v) if np.ndim(v) == 0 else np.array(v) for v in end]
-        x, y = self.trace.layout.unpack(values)
-        return LoopState(k, tuple(x), tuple(y))
+    def _ticked(self, k: int, slots: Any, fixed: Any) -> np.ndarray:
+        """The slots after tick k: (S,) of one car's floats, or (S, N)."""
+        loop = with_parameters(self.loop, regrouped(self._present, fixed))
+        x, y = self.trace.layout.unpack(slots)
+        with np.errstate(all="ignore"):
+            loop.advance(k, x, y)
+        return np.stack(np.broadcast_arrays(*self.trace.layout.pack(x, y)))
 
-    def _log(self, k: int, stop: int, rows: np.ndarray, end: Slots) -> Log:
+    def _log(self, k: int, stop: int, rows: np.ndarray, end: Callable[[], LoopState]) -> Log:
         signals, column = {}, 0
         for name in self.record:
             _, size = self.trace.layout.signals[name]
@@ -174,7 +188,7 @@ class Compiled:
             column += width
         ticks = np.arange(k + -k % self.every, stop, self.every, dtype=float)
         units = {name: self.loop.units[name] for name in self.record}
-        return Log(ticks * self.loop.dt, signals, units, loop=self.loop, state=lambda: self._state(stop, end()))
+        return Log(ticks * self.loop.dt, signals, units, loop=self.loop, state=end)
 
 
 def _cars(values: Mapping[str, Any], batch: int | None) -> int | None:

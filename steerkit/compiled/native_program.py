@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import dataclasses
 import functools
 import itertools
 import math
@@ -22,12 +21,10 @@ from steerkit.diagram.maths import Routine
 
 _LL = ctypes.c_longlong
 _CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.POINTER(ctypes.c_double), ctypes.c_void_p)
-Slots = Callable[[], Any]
-"""All slots after a run, (S, N), computed when they are asked for."""
 
 
 class NativeProgram:
-    """C of a loop: a library for one car or many, and one for each kind of tick to end with, made when first used."""
+    """C of a loop: a library for one car and one for many, made when first used."""
 
     def __init__(self, trace: Trace, recorded: Sequence[int], every: int):
         self.trace, self.recorded, self.every = trace, tuple(recorded), every
@@ -63,15 +60,6 @@ class NativeProgram:
         """The C function that runs cars: one at a time, or in groups of several."""
         return native.load(run_source(self.trace, self.recorded, many=many), fused=True, vector_maths=many)
 
-    @functools.cache  # noqa: B019 (lives as long as the program)
-    def _last(self, phase: int, many: bool, optimise: bool | None) -> tuple[Any, list[int]]:
-        """The C function that takes one tick and records all slots, and the persistent slots that it starts from, by
-        their place among the run's; optimise: False where it runs once."""
-        alone = dataclasses.replace(self.trace, ticks=(self.trace.ticks[phase],))
-        source = run_source(alone, range(len(alone.layout)), many=many)
-        library = native.load(source, fused=True, vector_maths=many, optimise=optimise)
-        return library.run, [self.trace.persistent.index(slot) for slot in alone.persistent]
-
     @contextlib.contextmanager
     def _held(self) -> Iterator[None]:
         """With the locks of all routines; raises the first error of one of them."""
@@ -83,16 +71,13 @@ class NativeProgram:
             if self._errors:
                 raise self._errors[0]
 
-    def run(self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, Slots]:
-        """Ticks k to stop - 1 of N cars from all slots (S, N), with parameters (P, N): rows recorded (T, R, N), and how
-        to get all slots (S, N) after the last.
-
-        Those are computed when they are asked for: the code for them is as long again as the run's. A solver must not
-        be asked twice, so with a routine in the loop, which runs car by car, they are the last tick.
-        """
+    def run(
+        self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Ticks k to stop - 1 of N cars from all slots (S, N), with parameters (P, N): rows recorded (T, R, N), the
+        slots before the last tick (S, N), as far as it reads them, and those that go on (C, N)."""
         every, last, cars, alone = self.every, stop - 1, slots.shape[1], bool(self.trace.routines)
-        many = cars > 1 and not alone
-        library = self._run(many)
+        library = self._run(cars > 1 and not alone)
         lanes = library.lanes()
         groups = -(-cars // lanes)
         state, fixed = _grouped(slots[self.trace.persistent], lanes, groups), _grouped(parameters, lanes, groups)
@@ -105,37 +90,16 @@ class NativeProgram:
 
             go(k, last, rows)
             before[first:past] = state[first:past]
-            if not alone:
-                go(last, stop, rows[_kept(k, last, every) :])
+            go(last, stop, rows[_kept(k, last, every) :])
 
-        def finished(*, optimise: bool | None = None) -> np.ndarray:
-            ticks, slots = self.trace.ticks, np.empty((len(self.trace.layout), groups * lanes))
-            tick, carried = self._last(ticks.index(ticks[last % len(ticks)]), many, optimise)
-            start, span = np.take(before, carried, axis=1), map(_LL, (last, stop, 1, 0, groups, groups * lanes))
-            tick(*span, _at(start), _at(fixed), _at(slots), self._routines)
-            return slots[:, :cars]
-
-        kept_last = last % every == 0 and bool(self.recorded)
         if alone:
             with self._held():
                 work(0, groups)
-                after = finished()
-            if kept_last:
-                rows[-1] = after[list(self.recorded)]
-            return rows, lambda: after
-        _share(work, groups, (stop - k) * groups * self.trace.instructions / len(self.trace.ticks))
-        rows = rows[..., :cars]
-        row = rows[-1:].copy()  # the caller may write into the rows
-
-        def end() -> np.ndarray:
-            """As the run has rounded them, where it kept them: going on from there is going on."""
-            after = finished(optimise=None if many else False)
-            after[self.trace.persistent] = _apart(state)[:, :cars]
-            if kept_last:
-                after[list(self.recorded)] = row[0]
-            return after
-
-        return rows, end
+        else:
+            _share(work, groups, (stop - k) * groups * self.trace.instructions / len(self.trace.ticks))
+        slots = slots.copy()
+        slots[self.trace.persistent] = _apart(before)[:, :cars]
+        return rows[..., :cars], slots, _apart(state)[:, :cars]
 
 
 _ENOUGH = 2e6

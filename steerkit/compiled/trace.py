@@ -142,7 +142,7 @@ def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False)
     present = {name: parameter(loop, name) for name in parameters}
     flat = flattened(present)
     numbers = [graph.input(1 + len(layout) + i) for i in range(len(flat))]
-    open_loop = with_parameters(loop, _regrouped(present, numbers))
+    open_loop = with_parameters(loop, regrouped(present, numbers))
     graph.refused.clear()  # by the checks of the parameters
     made: dict[tuple[bool, ...], Tick] = {}
     for phase in range(loop.period):
@@ -247,7 +247,7 @@ def flattened(values: Mapping[str, Any]) -> dict[str, Any]:
     return flat
 
 
-def _regrouped(present: Mapping[str, Any], numbers: Sequence[Any]) -> dict[str, Any]:
+def regrouped(present: Mapping[str, Any], numbers: Sequence[Any]) -> dict[str, Any]:
     """`numbers`, in the order of `flattened(present)`, under the names of `present`."""
     left = iter(numbers)
     return {n: tuple([next(left) for _ in v]) if isinstance(v, tuple) else next(left) for n, v in present.items()}
