@@ -249,7 +249,7 @@ def _hostile(name: str, frames: int, rng: np.random.Generator) -> dict[str, Any]
             verdict = gate(config.gate, wish, last, (float(car.now.v),) * 2, RESEND)
             if verdict.send:
                 last, sent = verdict.delta_sw, sent + 1
-                car.receive(t, config.writer.frame_id, config.writer.write(last, enable=True, count=sent))
+                car.receive(t, config.writer.message.frame_id, config.writer.write(last, enable=True, count=sent))
     return {"hostile": car.car.counts.sent, "hostile_rejected": car.car.counts.rejected}
 
 

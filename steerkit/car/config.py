@@ -192,7 +192,7 @@ class CarConfig:
             lines.append(f"port     opendbc {self.port}, by {by}; {line}")
         return [
             *lines,
-            f"write    {w.message.name} (0x{w.frame_id:X}){never}",
+            f"write    {w.message.name} (0x{w.message.frame_id:X}){never}",
             f"           {w.angle.signal} = delta_sw / {w.angle.gain:.6g}, steps of {degrees_of(w.quantum):.3g} deg",
             f"           {_listed(rest)}; fixed {dict(w.fixed)}",
             f"kit      lag {self.lag:g} s, delay {self.delay:g} s, for controllers that predict",
@@ -268,7 +268,7 @@ def _frames(config: CarConfig) -> Iterator[str]:
     if len(frames) > 1:
         yield f"[read] {together[0]} and {together[1]} come in {' and '.join(sorted(frames))}, expected one frame"
     for reader in config.readers:
-        if reader.frame_id == config.writer.frame_id:
+        if reader.frame_id == config.writer.message.frame_id:
             yield f"[read] {reader.name} is the command (0x{reader.frame_id:X}) that [write] sends"
         many = [s.name for s in reader.message.signals if s.is_multiplexer or s.multiplexer_ids]
         if many:

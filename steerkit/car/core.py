@@ -12,6 +12,7 @@ from steerkit.car.config import CarConfig
 from steerkit.car.gate import gate
 from steerkit.car.senses import EPS, Senses
 from steerkit.car.state_machine import Facts, Machine, Mode, Order
+from steerkit.estimators.steering_sign import CLEAR, DOUBTED
 from steerkit.paths.path import Path
 
 RESEND = 0.02
@@ -274,6 +275,7 @@ class Core:
         engaged, since, enabled_since = self.machine.mode is Mode.ENGAGED, self.machine.since, senses.enabled_since
         unasked = 0.0 if enabled_since is None else senses.enabled_at - max(enabled_since, self._let_go) + EPS
         follow_age = t - max(senses.follow_ok, since) + EPS if engaged else 0.0
+        less_will_do = bool(senses.errors) or follow_age > 0.5 * config.states.follow_time  # something is wrong anyway
         just_now = t - self._let_go < config.states.foreign_enable  # a kit's reports come later than it acts
         return Facts(
             connected=True in self._links.values(),
@@ -302,7 +304,7 @@ class Core:
             lateness=max([late for _, late in self._late]) if self._late else 0.0,
             echo_age=t - max(senses.echo_ok, since) + EPS if engaged else 0.0,
             follow_age=follow_age,
-            wrong_sign=senses.wrong_sign(doubted=bool(senses.errors) or follow_age > 0.5 * config.states.follow_time),
+            wrong_sign=senses.signs.wrong(DOUBTED if less_will_do else CLEAR),
             e_growth=senses.e_growth(since) if engaged else 0.0,
             still_for=t - max(senses.moving, since) if engaged else 0.0,
             remaining=senses.remaining,
@@ -325,7 +327,7 @@ class Core:
         if order is Order.ACKNOWLEDGE and after.mode is Mode.STANDBY and may_clear:
             self._clear, self._urgent, self._neutral = True, True, max(self._neutral, 1)  # kits latch too
         if order is Order.ACKNOWLEDGE:
-            self.senses.forget_sign()
+            self.senses.signs.forget()  # only engaging can show that the motor's is not right
         if order is Order.ACKNOWLEDGE and (self.senses.ahead or before.mode is Mode.STANDBY):
             self.senses.forget_delay()  # never a delay, or one that its operator was told of
         if after is before:
@@ -376,7 +378,7 @@ class Core:
         self._clear = self._urgent = False
         self._last_frame = t
         self._frames_sent += 1
-        out.append(Send(writer.frame_id, data))
+        out.append(Send(writer.message.frame_id, data))
 
     def _next(self, t: float) -> float:
         """When to look again at the latest: at the next frame to send, and when anything grows too old."""

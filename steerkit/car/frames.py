@@ -169,16 +169,6 @@ class CommandWriter:
     def _frame(self) -> FrameReader:
         return FrameReader(self.message, {"delta_sw": self.angle}, counter=self.counter, crc=self.crc)
 
-    @property
-    def frame_id(self) -> int:
-        """The id of the command."""
-        return self._frame.frame_id
-
-    @property
-    def extended(self) -> bool:
-        """Has the id 29 bits?"""
-        return self._frame.kind == "x"
-
     @cached_property
     def quantum(self) -> float:
         """The angle's resolution on the bus [rad]."""

@@ -18,8 +18,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from steerkit._support.clock import Clock
 from steerkit._support.errors import require
@@ -46,7 +45,7 @@ from steerkit.scenario.catalogue import AUTO
 RUN = "car"
 
 
-class CarLearner:
+class CarLearner(contextlib.ExitStack):
     """A learning run on a real car, behind `link`: `run` it, in a `with`.
 
     setting: how. place: run directory; a run there is continued with all its transitions and its newest net. config,
@@ -80,23 +79,25 @@ class CarLearner:
         what = f"{place} is not empty and holds no run of a car (no car.json); choose a new directory"
         require(not place.exists() or is_free(place) or (place / "car.json").exists(), where, what)
         place.mkdir(parents=True, exist_ok=True)
-        with contextlib.ExitStack() as self._open:
-            self._open.enter_context(held(place))
+        super().__init__()
+        with contextlib.ExitStack() as stack:
+            stack.push(self)
+            self.enter_context(held(place))
             self._begin(config, path, seed, clock)
-            self._open = self._open.pop_all()
+            stack.pop_all()
 
     def _begin(self, config: CarConfig, path: Path, seed: int, clock: Callable[[], float] | None) -> None:
         setting, place = self.setting, self.place
         _claim(place, setting)
         self.store = TransitionStore(place / "transitions.db", run=RUN, names=setting.recorded())
-        self._open.callback(self.store.close)
+        self.callback(self.store.close)
         saved = sorted((place / "nets").glob("net-*.npz"))
         net = int(saved[-1].stem.split("-")[1]) if saved else 0
         policy = NfqPolicy.load(saved[-1]) if saved else untrained(setting, seed)
         if not saved:
             policy.save(rundir.net_file(place, 0))
         self.trainer = Trainer(nets=policy.nets or () if net else ())
-        self._open.callback(self.trainer.close)
+        self.callback(self.trainer.close)
         self.learner_state = LearnerState(
             setting=setting,
             seed=seed,
@@ -226,16 +227,6 @@ class CarLearner:
 
     def _with(self, policy: NfqPolicy) -> Loop:
         return with_controller(self._idle, policy)
-
-    def close(self) -> None:
-        """End the training process and write what is left."""
-        self._open.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
 
 
 def _claim(place: FilePath, setting: Setting) -> None:

@@ -122,7 +122,7 @@ def serve_simulated(
             t = clock.now()
             if not isinstance(car, ProductionCar):
                 car.receive(t, frame_id, data)
-            if log and frame_id == writer.frame_id:
+            if log and frame_id == writer.message.frame_id:
                 angle, enable, _ = writer.read(data)
                 log.write(f'{{"t": {t!r}, "data": "{data.hex()}", "enable": {int(enable)}, "angle": {angle!r}}}\n')
         now = clock.now()

@@ -15,7 +15,7 @@ from steerkit.car.estimates import earlier
 from steerkit.car.frames import FrameReader
 from steerkit.car.motion import MotionCheck
 from steerkit.diagram.units import degrees_of
-from steerkit.estimators.steering_sign import CLEAR, DOUBTED, SteeringSigns
+from steerkit.estimators.steering_sign import SteeringSigns
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.vehicles.rollout import Rollout
@@ -106,7 +106,7 @@ class Senses:
         car = config.vehicle
         self._tracker = PathTracker(path=path, reference=car.l_f)
         self._motion = witness(config)
-        self._signs = SteeringSigns(Rollout.of(car))
+        self.signs = SteeringSigns(Rollout.of(car))
         self._astray, self._asked = math.nan, -math.inf
         self._place: Any = None
         self.places = 0
@@ -130,7 +130,9 @@ class Senses:
         if kind == "bad":
             self.error(t, f"the adapter sent what is no frame: {data[:40]!r}")
             return
-        if frame_id == writer.frame_id and kind != ("" if writer.extended else "x"):  # CAN FD does not say which it is
+        if frame_id == writer.message.frame_id and kind != (
+            "" if writer.message.is_extended_frame else "x"
+        ):  # CAN FD does not say which it is
             self.foreign = (t, f"somebody else sends {writer.message.name} (0x{frame_id:X}), which only we may")
             return
         reader = self._readers.get(frame_id)
@@ -287,15 +289,7 @@ class Senses:
         known, names = self.values, ("v", "r", "psi")
         if all([name in known for name in names]):
             command = sent[-1][1] if sent and arrived - sent[-1][0] < ACTS else math.nan
-            self._signs.add(arrived, command=command, wheel=known["delta_sw"], **{name: known[name] for name in names})
-
-    def wrong_sign(self, *, doubted: bool) -> str:
-        """Which sign of the steering is wrong, or ""; doubted: is something wrong in any case? Then less will do."""
-        return self._signs.wrong(DOUBTED if doubted else CLEAR)
-
-    def forget_sign(self) -> None:
-        """Take the motor's for the right one; only engaging can show that it is not."""
-        self._signs.forget()
+            self.signs.add(arrived, command=command, wheel=known["delta_sw"], **{name: known[name] for name in names})
 
     def _locate(self, gap: float) -> None:
         v = self.values

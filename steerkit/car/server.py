@@ -191,7 +191,7 @@ class CarServer:
                 self._port.command(self.clock.now(), frame.data)
             return
         can = python_can()
-        extended = self.config.writer.extended
+        extended = self.config.writer.message.is_extended_frame
         self._bus.send(can.Message(arbitration_id=frame.frame_id, data=frame.data, is_extended_id=extended))
 
     def _accept(self) -> None:

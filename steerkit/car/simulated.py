@@ -146,7 +146,7 @@ class SimulatedCar:
     def receive(self, t: float, frame_id: int, data: bytes) -> None:
         """A frame from the bus at time t [s]."""
         writer = self.config.writer
-        if frame_id != writer.frame_id or self.fault("deaf", t):
+        if frame_id != writer.message.frame_id or self.fault("deaf", t):
             return
         angle, enable, clear = writer.read(data)
         self.heard = t

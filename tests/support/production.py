@@ -39,5 +39,5 @@ def steered(car: PortedCar, seconds: float, delta_sw: float = 0.0, *, enable: bo
     writer = car.config.writer
     for _ in range(round(seconds / 0.02)):
         t = car.due + 0.01
-        car.receive(t, writer.frame_id, writer.write(delta_sw, enable=enable))
+        car.receive(t, writer.message.frame_id, writer.write(delta_sw, enable=enable))
         car.advance(t)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -69,8 +69,6 @@ class PortLimits:
 
     def within(self, limits: GateLimits) -> GateLimits:
         """A gate's limits, no wider than these."""
-        from dataclasses import replace
-
         fields = type(limits).__dataclass_fields__
         least = {name: fields[name].metadata["number"][1] for name in ("delta_sw_max", "rate_max", "a_y_max")}
         return replace(

@@ -51,9 +51,8 @@ class PandaLine:
             ) from error
         try:
             self._panda = Panda(serial or None)
-            for number, config in enumerate(platform.params.safetyConfigs):
-                if number == len(platform.params.safetyConfigs) - 1:
-                    self._panda.set_safety_mode(config.safetyModel.raw, config.safetyParam)
+            safety = platform.params.safetyConfigs[-1]
+            self._panda.set_safety_mode(safety.safetyModel.raw, safety.safetyParam)
         except Exception as error:  # whatever its library raises of USB
             raise OSError(f"panda {serial or '(the only one)'}: cannot be opened ({error})") from error
         self._beaten = -1e9

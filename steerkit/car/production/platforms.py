@@ -6,14 +6,13 @@ import importlib.util
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cache, cached_property
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import nearest, require
 from steerkit.estimators.torque_map import LateralMap
 
 INSTALL = (
@@ -133,7 +132,6 @@ def _code(dbc_name: str, message: str, signal: str, label: str) -> float:
     return float(next((code for code, text in labels.items() if text == label), 0))
 
 
-@cache
 def _interfaces() -> Mapping[str, Any]:
     if importlib.util.find_spec("opendbc") is None:
         raise ValueError(INSTALL)
@@ -145,29 +143,17 @@ def _interfaces() -> Mapping[str, Any]:
     return dict(found)
 
 
-def names() -> list[str]:
-    """All platforms but those that are no cars, in alphabetical order; raises ValueError without opendbc."""
-    return sorted(name for name in _interfaces() if _any(name).maker not in NOT_CARS)
-
-
 @cache
-def _any(name: str) -> Platform:
-    """A platform, whether it can be steered or not."""
-    interface = _interfaces()[name]
-    return Platform(name, interface.get_non_essential_params(name))
-
-
-def listed() -> list[Platform]:
-    """All platforms, those that are only looked at included."""
-    return [_any(name) for name in names()]
+def listed() -> dict[str, Platform]:
+    """All cars by name, in alphabetical order, those that are only looked at included; ValueError without opendbc."""
+    every = [Platform(name, kind.get_non_essential_params(name)) for name, kind in sorted(_interfaces().items())]
+    return {found.name: found for found in every if found.maker not in NOT_CARS}
 
 
 def platform(name: str) -> Platform:
     """The platform of that name; raises ValueError for one that is unknown or never steered, or without opendbc."""
-    near = get_close_matches(name, names(), 3, 0.5) if name not in names() else []
-    hint = f" (did you mean {' or '.join(near)}?)" if near else ""
-    require(name in names(), f"[port] opendbc = {name!r}", f"not known{hint}; valid: those of `steerkit car platforms`")
-    found = _any(name)
-    if found.obstacle:
-        raise ValueError(f"[port] opendbc = {name!r}: {found.obstacle}")
+    where, found = f"[port] opendbc = {name!r}", listed().get(name)
+    if found is None:
+        raise ValueError(f"{where}: not known{nearest(name, listed())}; valid: those of `steerkit car platforms`")
+    require(not found.obstacle, where, found.obstacle)
     return found

@@ -95,7 +95,7 @@ class ProductionCar(SimulatedCar):
         active = math.isfinite(asked) and not self.fault("kit_fault", t)
         if not active:
             self.torque, self._a_y = 0.0, float(v * self.now.r)
-            self.receive(t, writer.frame_id, writer.write(0.0, enable=False))
+            self.receive(t, writer.message.frame_id, writer.write(0.0, enable=False))
             return
         length = car.wheelbase + car.understeer_gradient * v * v
         match self.platform.steered_by:
@@ -111,7 +111,7 @@ class ProductionCar(SimulatedCar):
                 angle = car.steer_ratio * math.atan(length * self._a_y / (v * v))
         limit = self.config.gate.delta_sw_max
         angle = round(max(-limit, min(limit, angle)) / writer.quantum) * writer.quantum
-        self.receive(t, writer.frame_id, writer.write(angle, enable=True))
+        self.receive(t, writer.message.frame_id, writer.write(angle, enable=True))
 
     def _say(self, t: float) -> None:
         up = {kind: self.fault(kind, t) is not None for kind in FAULTS}

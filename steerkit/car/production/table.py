@@ -23,7 +23,7 @@ AT = 15.0
 def rows() -> list[dict[str, Any]]:
     """A row for each platform, SI: name, maker, by, slowest [m/s], delay [s], the largest lateral acceleration [m/s^2]
     and its fastest change [m/s^3] at `AT`, and why it cannot be steered, or "". Raises ValueError without opendbc."""
-    return [_row(found) for found in listed()]
+    return [_row(found) for found in listed().values()]
 
 
 def _row(found: Any) -> dict[str, Any]:

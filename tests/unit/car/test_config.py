@@ -33,7 +33,7 @@ def changed(folder: Path, *changes: str) -> Path:
 
 def test_the_shipped_one_is_right() -> None:
     config = load("dbw-kit.toml")
-    assert config.writer.frame_id == 0x64
+    assert config.writer.message.frame_id == 0x64
     assert {r.frame_id for r in config.readers} == {0x65, 0x120, 0x121, 0x122}
     assert config.report_frames == {0x65}
     assert config.pose_frames == {0x120, 0x121, 0x122}

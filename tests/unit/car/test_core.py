@@ -469,7 +469,7 @@ def test_the_end_of_the_process_says_why() -> None:
 def test_a_foreign_sender_of_the_command_is_told() -> None:
     core, told = linked(), []
     for t, kind in ((5.1, ""), (7.0, "x"), (8.0, "fd")):  # "x", of 29 bits: another frame
-        core.handle(Frame(t, t, config().writer.frame_id, bytes(8), kind))
+        core.handle(Frame(t, t, config().writer.message.frame_id, bytes(8), kind))
         told.append("somebody else sends STEERING_CMD" in core.facts(t).foreign)
         assert core.facts(t + 1.1).foreign == ""
     assert told == [True, False, True]

@@ -22,7 +22,7 @@ def car(**changes: Any) -> SimulatedCar:
 
 
 def tell(it: SimulatedCar, angle: float, *, enable: bool = True, clear: bool = False) -> None:
-    it.receive(it.t, CONFIG.writer.frame_id, CONFIG.writer.write(angle, enable=enable, clear=clear))
+    it.receive(it.t, CONFIG.writer.message.frame_id, CONFIG.writer.write(angle, enable=enable, clear=clear))
 
 
 @pytest.mark.parametrize("period", [0.005, 0.01, 0.015, 0.02])

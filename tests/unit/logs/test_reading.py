@@ -53,7 +53,7 @@ def recorded_frames(file: Path, columns: dict[str, Any], *, spoilt: int = 0) -> 
             data = writer.write(full, count=k)
             if spoilt and k % spoilt == spoilt - 1 and writer.crc:
                 data = bytes([data[0], data[1] ^ 0x10, *data[2:]])
-            recorder.event(Frame(t, t, writer.frame_id, data), [])
+            recorder.event(Frame(t, t, writer.message.frame_id, data), [])
     recorder.close()
 
 

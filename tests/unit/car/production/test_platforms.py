@@ -12,7 +12,7 @@ from steerkit.car.production import platforms
 
 
 def test_a_platform_that_is_unknown_or_never_steered_is_refused_by_name() -> None:
-    with pytest.raises(ConfigError, match="did you mean TESLA_MODEL_3"):
+    with pytest.raises(ConfigError, match="did you mean 'TESLA_MODEL_3'"):
         config_of("TESLA_MODEL_33")
     with pytest.raises(ConfigError, match=r"PSA_PEUGEOT_208.*dashcam"):
         config_of("PSA_PEUGEOT_208")
@@ -25,12 +25,12 @@ def test_a_platform_that_is_unknown_or_never_steered_is_refused_by_name() -> Non
 def test_without_opendbc_a_port_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     real = platforms.importlib.util.find_spec
     monkeypatch.setattr(platforms.importlib.util, "find_spec", lambda name: None if name == "opendbc" else real(name))
-    platforms._interfaces.cache_clear()
+    platforms.listed.cache_clear()
     try:
         with pytest.raises(ConfigError, match=r"pip install 'steerkit-control\[production\]'"):
             config_of("TESLA_MODEL_3")
     finally:
-        platforms._interfaces.cache_clear()
+        platforms.listed.cache_clear()
 
 
 def test_what_the_port_gives_may_not_be_given_by_the_file_too() -> None:
