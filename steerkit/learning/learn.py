@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path as FilePath
+from typing import Any
 
 from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
-from steerkit.learning.data.from_log import Excitation, Recorded, transitions_of
+from steerkit.learning.data.from_log import Excitation, transitions_of
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import SIGNALS, Experiment, LearningRun, Watcher
 from steerkit.learning.learner_state import untrained
@@ -101,7 +102,7 @@ def _later(end: float) -> float:
 
 
 def from_log(
-    drive: Recorded,
+    drive: Any,
     experiment: Experiment,
     directory: str | FilePath | None = None,
     *,

@@ -167,23 +167,13 @@ def in_lines(say: Callable[[str], None]) -> Watcher:
     """A line for every round, every fifth failure, and whenever the recovery controller does not get to hand over or
     the safety filter finds its doubts too small."""
 
-    def line(run: LearningRun) -> str:
-        episode = run.counts.episodes[-1] if run.counts.episodes else None
-        held = (episode.ended or run.t) - episode.began if episode else 0.0
-        return (
-            f"episode {len(run.counts.episodes)}, {run.t / 60:.1f} min driven, held {held:.0f} s, "
-            f"RMS e {episode.rms_e if episode else 0:.3f} m, {len(run.transitions)} transitions"
-        )
-
     def watch(what: str, run: LearningRun) -> None:
         if what == "stuck":
             say(run.counts.stuck[-1])
         if what == "doubted":
             say(beyond(run))
-        if what == "round":
-            say(f"{'first learned round' if run.counts.rounds == 1 else 'round'}: {line(run)}")
-        if what == "failed" and run.counts.failures % 5 == 0:
-            say(f"failed: {line(run)}")
+        if what == "round" or (what == "failed" and run.counts.failures % 5 == 0):
+            say(f"{what}: {in_words(run, run.counts.episodes[-1].rms_e)}")
 
     return watch
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,35 +51,7 @@ _LEAST = ("seconds", "rate_deg")
 """Of an `Excitation`: these at least, the others in NEEDED at most; there in words, with what to drive besides."""
 
 
-class Recorded(Protocol):
-    """A recorded drive, such as `steerkit.logs.read_drive` gives on the clock of DT."""
-
-    @property
-    def name(self) -> str:
-        """For messages."""
-
-    @property
-    def dt(self) -> float:
-        """The clock's step, 0.05 s."""
-
-    @property
-    def delta_sw(self) -> Array:
-        """Steering-wheel angle, or its command, + = left (n,) [rad]."""
-
-    @property
-    def v(self) -> Array:
-        """Speed (n,) [m/s]."""
-
-    @property
-    def r(self) -> Array:
-        """Yaw rate (n,) [rad/s]."""
-
-    @property
-    def driving(self) -> NDArray[np.bool_]:
-        """The samples that count: recorded, and not too slow (n,)."""
-
-
-def as_driven(drive: Recorded, vehicle: Vehicle, *, delay: float = 0.0, lag: float = 0.0) -> Log:
+def as_driven(drive: Any, vehicle: Vehicle, *, delay: float = 0.0, lag: float = 0.0) -> Log:
     """A recorded drive as a drive along its own path, with the signals of a learning run's.
 
     The path is that of the front axle, by dead reckoning, smoothed by cubics over 1.5 s; with beta of a steady bend,
@@ -90,9 +62,10 @@ def as_driven(drive: Recorded, vehicle: Vehicle, *, delay: float = 0.0, lag: flo
     e, e_dot, psi_e, r_e and kappa are those of p against its smoothed self; `doe.state` is the command of the sample
     before. The car model that is learned of them does not depend on the path.
 
-    drive: on a clock of 0.05 s. vehicle: whose geometry, mass and rear tyres are believed. delay, lag: by how much
-    later than its command the recorded wheel turns [s]: command(t) = (delta_sw + lag d(delta_sw)/dt)(t + delay); 0: it
-    is the command. Raises ValueError for another clock, and for delays and lags that are not within 0 to 0.6 s.
+    drive: as `steerkit.logs.read_drive` gives it, on a clock of 0.05 s. vehicle: whose geometry, mass and rear tyres
+    are believed. delay, lag: by how much later than its command the recorded wheel turns [s]: command(t) = (delta_sw +
+    lag d(delta_sw)/dt)(t + delay); 0: it is the command. Raises ValueError for another clock, and for delays and lags
+    that are not within 0 to 0.6 s.
     """
     from scipy.signal import savgol_filter  # loads as slowly as all else that a drive needs
 
@@ -140,7 +113,7 @@ SIGNALS = distance.SIGNALS | {"kappa": "path.kappa"}
 
 
 def transitions_of(
-    drive: Recorded, vehicle: Vehicle, element: OutputElement, largest: float, *, delay: float = 0.0, lag: float = 0.0
+    drive: Any, vehicle: Vehicle, element: OutputElement, largest: float, *, delay: float = 0.0, lag: float = 0.0
 ) -> tuple[Transitions, Log]:
     """A recorded drive's transitions, as of another's steering and with the column kappa, and its log (`as_driven`).
 
@@ -156,8 +129,8 @@ def transitions_of(
     known = (log.t > 0.0) & (log.t <= log.t[-1] - delay)
     sound = drive.driving & known & (np.abs(s[:, PSI_E]) < TURNED)
     row = np.flatnonzero(sound[:-1] & sound[1:] & (np.abs(action) <= largest))
-    record = Transitions(tuple(SIGNALS))
-    record.extend(s[row], action[row], s[row + 1], np.cumsum(np.diff(row, prepend=row[:1]) > 1), False)
+    episode = np.cumsum(np.diff(row, prepend=row[:1]) > 1)
+    record = Transitions(tuple(SIGNALS), s[row], action[row], s[row + 1], episode, False)
     log.signals["controller.action"] = np.append(action, 0.0)
     return record, log
 

@@ -26,7 +26,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from steerkit._support.errors import require
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
 
@@ -235,13 +234,6 @@ class TransitionStore:
         """Why the last commit did not succeed; empty when it did. The rows wait, and the writer tries again."""
         return self._writer.fault if self._writer else ""
 
-    def cut(self, rows: int) -> None:
-        """Keep the first `rows` transitions only: for a run that is resumed from an earlier moment."""
-        require(rows >= 0, "TransitionStore.cut", f"rows = {rows}, expected >= 0")
-        self._writing().flush(10.0)
-        with writing(self.path) as db:
-            db.execute("DELETE FROM transition WHERE run = ? AND n >= ?", (RUN, rows))
-
     def _writing(self) -> _Writer:
         if self._writer is None:
             raise StoreError(f"{self.path}: closed, or opened for reading; to append, open it with run='a label'")
@@ -265,9 +257,8 @@ class TransitionStore:
             if len(numbers) != 8 * (2 * n + 2) or checksum(episode, numbers) != crc:
                 raise StoreError(f"{self.path}: transition {number} is damaged; use a copy")
         values = np.frombuffer(b"".join([row[1] for row in rows]), dtype="<f8").reshape(-1, 2 * n + 2)
-        record, episode = Transitions(self.names), np.array([row[0] for row in rows], dtype=int)
-        record.extend(values[:, :n], values[:, n], values[:, n + 1 : -1], episode, values[:, -1])
-        return record
+        episode = np.array([row[0] for row in rows], dtype=int)
+        return Transitions(self.names, values[:, :n], values[:, n], values[:, n + 1 : -1], episode, values[:, -1])
 
 
 class _Writer(threading.Thread):

@@ -25,15 +25,17 @@ class Transitions:
     Consecutive rows of one episode are consecutive samples; whoever records starts a new episode number at every break
     in time. Appending costs O(1) on average: the arrays double. The attributes of these names are read-only views of
     what is recorded so far; a view taken earlier stays valid and does not grow. Non-finite rows are refused with
-    ValueError.
+    ValueError. rows: what is recorded at first, as for `extend`.
     """
 
-    def __init__(self, names: Sequence[str] = StateDescription().names):
+    def __init__(self, names: Sequence[str] = StateDescription().names, *rows: ArrayLike):
         require(len(names) > 0, "Transitions", "names is empty, expected the state's columns")
         self.names = tuple(names)
         self._n = 0
         self._s, self._s_next = np.empty((256, len(self.names))), np.empty((256, len(self.names)))
         self._a, self._episode, self._own = np.empty(256), np.empty(256, dtype=np.int64), np.empty(256, dtype=bool)
+        if rows:
+            self.extend(*rows)
 
     def __len__(self) -> int:
         return self._n
@@ -103,9 +105,8 @@ class Transitions:
 
     def part(self, rows: slice | NDArray[Any]) -> Transitions:
         """Those rows alone, copied."""
-        part = Transitions(self.names)
-        part.extend(self.s[rows], self.a[rows], self.s_next[rows], self.episode[rows], self.own[rows])
-        return part
+        kept = (self.s, self.a, self.s_next, self.episode, self.own)
+        return Transitions(self.names, *(values[rows] for values in kept))
 
     def to_pandas(self) -> pd.DataFrame:
         """A row a transition, in SI: s by its columns' names, a, s_next with `next_` before them, episode, own.
@@ -127,11 +128,9 @@ class Transitions:
         """What `save` wrote, bit for bit; raises ValueError for a truncated or foreign file."""
         f = read_arrays(path, "transitions")
         try:
-            self = cls(tuple(f["names"].tolist()))
-            self.extend(f["s"], f["a"], f["s_next"], f["episode"], f["own"])
+            return cls(f["names"].tolist(), f["s"], f["a"], f["s_next"], f["episode"], f["own"])
         except (ValueError, TypeError, KeyError) as why:
             raise ValueError(f"{path}: the transitions in it do not hold together: {why}") from why
-        return self
 
     def _view(self, array: NDArray[Any]) -> NDArray[Any]:
         view = array[: self._n]

@@ -93,7 +93,7 @@ class Process(NamedTuple):
     forecast: DelayCompensator
 
 
-def process_of(record: Transitions, description: StateDescription, longest: float, dt: float = DT) -> Process:
+def process_of(record: Transitions, description: StateDescription, longest: float) -> Process:
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
@@ -101,30 +101,28 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
-    most = min(LONGEST, round(longest / dt))
+    most = min(LONGEST, round(longest / DT))
     record = since_change(record, most)
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
         record = since_other_gain(record, dead_time_of(record, most))
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
         best = dead_time_of(record, most)
         part = aligned(record, best)
-        model = refined(CarModel.fit(part, description, dt, fast=fast), part)
+        model = refined(CarModel.fit(part, description, fast=fast), part)
     else:
-        best, part, model = _of_others(record, description, most, dt, fast)
+        best, part, model = _of_others(record, description, most, fast)
     if fast:
-        model = overshooting(model, part, description, dt)
+        model = overshooting(model, part, description)
     numbers = {name: getattr(model, name) for name in (*ANSWER, *FELT, "straight")}
-    forecast = DelayCompensator(samples=best, trust=TRUST, dt=dt, **numbers)
+    forecast = DelayCompensator(samples=best, trust=TRUST, **numbers)
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
     s_next[:, DOE] -= model.straight
-    straightened = Transitions(COLUMNS)
-    straightened.extend(s, part.a, s_next, part.episode, part.own)
-    return Process(straightened, model, forecast)
+    return Process(Transitions(COLUMNS, s, part.a, s_next, part.episode, part.own), model, forecast)
 
 
 def _of_others(
-    record: Transitions, description: StateDescription, most: int, dt: float, fast: bool
+    record: Transitions, description: StateDescription, most: int, fast: bool
 ) -> tuple[int, Transitions, CarModel]:
     """Dead time [samples], aligned record and model where all was steered by others.
 
@@ -132,11 +130,11 @@ def _of_others(
     not. So each dead time's model has to foresee w over AHEAD samples; of those that are as good as the best, by
     AS_GOOD, it is the one nearest to `lateness` less MOTOR.
     """
-    likely = (lateness(record) - MOTOR) / dt
+    likely = (lateness(record) - MOTOR) / DT
     found = list[tuple[float, int, Transitions, CarModel]]()
     for samples in range(most + 1):
         part = aligned(record, samples)
-        model = refined(CarModel.fit(part, description, dt, fast=fast), part)
+        model = refined(CarModel.fit(part, description, fast=fast), part)
         found.append((strays_of(model, part), samples, part, model))
     least = min(error for error, *_ in found)
     good = [one for one in found if one[0] <= AS_GOOD * least + NOTHING]
@@ -275,9 +273,7 @@ def aligned(record: Transitions, samples: int) -> Transitions:
     row = row[episode[row] == episode[row + samples]]
     s, s_next = record.s[row + samples].copy(), record.s_next[row + samples].copy()
     s[:, DOE], s_next[:, DOE] = record.s[row, DOE], record.s_next[row, DOE]
-    part = Transitions(record.names)
-    part.extend(s, record.a[row], s_next, record.episode[row], record.own[row])
-    return part
+    return Transitions(record.names, s, record.a[row], s_next, record.episode[row], record.own[row])
 
 
 def refined(model: CarModel, part: Transitions) -> CarModel:
@@ -315,7 +311,7 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     answer = {"now": now, "before": before, "earlier": earlier, "back": back}
     if fast:
         rises = _foreseen(part, row, found.x, fast)[-1] - w[row]
-        turned = model.dt * np.add.reduce([0.5 * (s[row + j, R_E] + s[row + j + 1, R_E]) for j in range(AHEAD)])
+        turned = DT * np.add.reduce([0.5 * (s[row + j, R_E] + s[row + j + 1, R_E]) for j in range(AHEAD)])
         kept = course[row + AHEAD] - course[row] - turned
         answer["nose"], answer["tail"] = course_share(rises, kept, v[row])
         answer["loss"] = grown
@@ -329,7 +325,7 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     return other if right else model
 
 
-def overshooting(model: CarModel, part: Transitions, description: StateDescription, dt: float = DT) -> CarModel:
+def overshooting(model: CarModel, part: Transitions, description: StateDescription) -> CarModel:
     """The model with the overshoot and the slew that foresee w best; itself, where they are not BETTER.
 
     Slew and overshoot are looked for together among a few values, then the overshoot's time. Each is judged by what
@@ -353,7 +349,7 @@ def overshooting(model: CarModel, part: Transitions, description: StateDescripti
         return model
     other = replace(model, **found)
     angles = felt_record(other, part)
-    fitted = refined(CarModel.fit(angles, description, dt, fast=True), angles)
+    fitted = refined(CarModel.fit(angles, description, fast=True), angles)
     if not strays_of(fitted, angles) < BETTER * strays_of(model, part):
         return model
     return replace(fitted, held=model.held, pushed=model.pushed, **found)
@@ -380,9 +376,7 @@ def felt_record(car: CarModel, part: Transitions) -> Transitions:
         return part
     s, s_next = part.s.copy(), part.s_next.copy()
     s[:, DOE], s_next[:, DOE] = angles.now, car.after(part.s, part.s_next[:, DOE], angles).now
-    felt = Transitions(part.names)
-    felt.extend(s, part.a, s_next, part.episode, part.own)
-    return felt
+    return Transitions(part.names, s, part.a, s_next, part.episode, part.own)
 
 
 def strays_of(model: CarModel, part: Transitions) -> float:

@@ -99,11 +99,9 @@ class CarModel:
     most: float = UNLIMITED
     slew: float = UNLIMITED
     """How the steering overshoots and how fast it is: see `felt`, where u takes doe's place in `moved`."""
-    dt: float = DT
-    """Sample time [s]."""
 
     @classmethod
-    def fit(cls, record: Transitions, description: StateDescription, dt: float = DT, *, fast: bool = False) -> CarModel:
+    def fit(cls, record: Transitions, description: StateDescription, *, fast: bool = False) -> CarModel:
         """The model of recorded transitions; raises ValueError for none, or for states of other columns.
 
         Where they hold the curvature (a column kappa after the others), the yaw rate's answer is found without the
@@ -119,7 +117,7 @@ class CarModel:
         free = np.abs(doe_next) < 0.999 * limit
         held, pushed = _least_squares(np.column_stack((doe, record.a))[free], doe_next[free], trace=1e-6)
         w = s[:, E_DOT] / v - s[:, PSI_E]
-        turn = s_next[:, E_DOT] / speed(s_next) - s[:, E_DOT] / v - 0.5 * dt * (s[:, R_E] + s_next[:, R_E])
+        turn = s_next[:, E_DOT] / speed(s_next) - s[:, E_DOT] / v - 0.5 * DT * (s[:, R_E] + s_next[:, R_E])
         follows = follow(record)
         rows = follows if follows.sum() >= 10 else np.ones(len(s), dtype=bool)
         x = np.column_stack((doe_next, doe, earlier_doe(record), -w))
@@ -151,7 +149,7 @@ class CarModel:
             answer["yaw"] = float(change @ rise / (change @ change + 1e-9))
         if now + before + earlier > 1e-6:
             straight = float(np.clip(-constant / (now + before + earlier), -OFF_CENTRE, OFF_CENTRE))
-        return cls(held=held, pushed=pushed, limit=limit, straight=straight, dt=dt, **answer)
+        return cls(held=held, pushed=pushed, limit=limit, straight=straight, **answer)
 
     @property
     def feels(self) -> bool:
@@ -179,7 +177,7 @@ class CarModel:
         if self.feels:
             felt = felt or Felt(doe, earlier, doe)
             angles = self.after(s, doe_next, felt).now, felt.now, felt.before
-        e, course, psi_e, r_e = moved(self, CourseMotion(e, course, psi_e, r_e), v, angles, dt=self.dt)
+        e, course, psi_e, r_e = moved(self, CourseMotion(e, course, psi_e, r_e), v, angles)
         return np.column_stack((e, v * course, v, psi_e, r_e, doe_next))
 
     def after(self, s: Array, doe_next: Array, before: Felt) -> Felt:
@@ -213,9 +211,8 @@ def course_share(turned: Array, course: Array, v: Array) -> tuple[float, float]:
 
 def with_heading_of_yaw_rate(record: Transitions) -> Transitions:
     """The same transitions, with psi_e such that e_dot/v - psi_e is LENGTH*r/v (see `moved`); with the column kappa."""
-    same = Transitions(record.names)
-    same.extend(_by_yaw_rate(record.s), record.a, _by_yaw_rate(record.s_next), record.episode, record.own)
-    return same
+    s, s_next = _by_yaw_rate(record.s), _by_yaw_rate(record.s_next)
+    return Transitions(record.names, s, record.a, s_next, record.episode, record.own)
 
 
 def _by_yaw_rate(s: Array) -> Array:

@@ -128,7 +128,7 @@ def test_the_demonstration_names_the_car_and_the_time_in_every_line(
     told = [re.fullmatch(r" *\d+ s  (one, round|two|three \[b\]): (.+)", line) for line in lines]
     assert all(told), lines
     said = [(match[1], match[2].partition(":")[0]) for match in told if match]
-    assert ("one, round", "first learned round") in said
+    assert ("one, round", "round") in said
     for name in cars:
         assert [what for who, what in said if who == name][:1] == ["begins to learn"]
         assert (name, "has learned") in said

@@ -183,9 +183,9 @@ def test_a_window_fits_the_newest_transitions_and_the_model_learns_from_all(
 
     class Watched(CarModel):
         @classmethod
-        def fit(cls, record: Transitions, description: StateDescription, dt: float = 0.05) -> CarModel:
+        def fit(cls, record: Transitions, description: StateDescription) -> CarModel:
             modelled.append(len(record))
-            return CarModel.fit(record, description, dt)
+            return CarModel.fit(record, description)
 
     monkeypatch.setattr(nfq, "CarModel", Watched)
     record = recorded(200)
