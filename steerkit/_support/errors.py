@@ -86,7 +86,6 @@ def number(
     low: float = -math.inf,
     high: float = math.inf,
     above: float | None = None,
-    repr: bool = True,
 ) -> Any:
     """A dataclass field for a number [unit] from `low` (or above `above`) to `high`, or for one number per car.
 
@@ -94,7 +93,7 @@ def number(
     NaN is never valid; with a default of None, None is.
     """
     bounds = (unit, low if above is None else above, high, above is not None)
-    return dataclasses.field(default=default, repr=repr, metadata={"number": bounds})
+    return dataclasses.field(default=default, metadata={"number": bounds})
 
 
 def check_numbers(of: Any, where: str) -> None:

@@ -123,8 +123,6 @@ class Margins(NamedTuple):
     """Least additional delay [s]."""
     gain_crossing: float
     """Where |L| = 1, for the phase margin [rad/s]; NaN if nowhere."""
-    phase_crossing: float
-    """Where the phase is -180 degrees, for `gain` [rad/s]; NaN if nowhere."""
 
 
 def margins(system: Any) -> Margins:
@@ -163,13 +161,12 @@ def margins(system: Any) -> Margins:
     delays = [(phase % (2.0 * math.pi)) / w for phase, w in zip(phases, gain_at)]
     phase, crossing = min(((abs(p), w) for p, w in zip(phases, gain_at)), default=(math.inf, math.nan))
     real_at = [w for w in crossings(np.imag) if np.real(answer(w)) < 0.0]
-    factors = [(1.0 / abs(float(np.real(answer(w)))), w) for w in real_at]
-    end = np.real(answer(top)) if discrete else 0.0
-    if end < 0.0:  # L is real at half the sampling rate
-        factors.append((1.0 / abs(float(end)), top))
-    gain, at = min((f for f in factors if f[0] > 1.0), default=(math.inf, math.nan))
-    below = max((f for f, _ in factors if f < 1.0), default=0.0)
-    return Margins(gain, below, phase, min(delays, default=math.inf), crossing, at)
+    if discrete and np.real(answer(top)) < 0.0:  # L is real at half the sampling rate
+        real_at.append(top)
+    factors = [1.0 / abs(float(np.real(answer(w)))) for w in real_at]
+    gain = min((f for f in factors if f > 1.0), default=math.inf)
+    below = max((f for f in factors if f < 1.0), default=0.0)
+    return Margins(gain, below, phase, min(delays, default=math.inf), crossing)
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ class FromControl(Block):
 
 
 def to_control(
-    loop: Loop, *, inputs: Sequence[Signal] = (), outputs: Sequence[Signal], at: LoopState | None = None, name: str = ""
+    loop: Loop, *, inputs: Sequence[Signal] = (), outputs: Sequence[Signal], at: LoopState | None = None
 ) -> Any:
     """The whole loop, as it is (not linearised), as a discrete `control.NonlinearIOSystem`, one step a period.
 
@@ -145,7 +145,7 @@ def to_control(
     return control.nlsys(
         update,
         output,
-        name=name or "loop",
+        name="loop",
         dt=dt,
         states=period.labels,
         params={"x0": period.x0},

@@ -108,17 +108,23 @@ def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
     """
     persistent = trace.persistent
     names = [f"s[{i}]" for i in range(len(persistent))] + [f"y[{i}]" for i in range(len(recorded))]
-    ticks = []
+    slots, ticks = len(trace.layout), []
+
+    def source(slot: int) -> str:
+        if slot == 0:
+            return "NUMBER(k)"
+        return f"s[{persistent.index(slot - 1)}]" if slot <= slots else f"p[{slot - slots - 1}]"
+
     for number, (tick, _) in enumerate(trace.kinds):
-        body = _body(trace, tick.graph, [tick.roots[slot] for slot in (*persistent, *recorded)], names)
-        head = f"static inline void tick{number}(double k, real *s, const real *p, real *y, void **routines)"
-        ticks.append(f"{head}\n{{\n{body}}}\n")
+        wanted = Tick(tick.graph, tuple([tick.roots[slot] for slot in (*persistent, *recorded)]))
+        head = f"tick{number}(double k, real *s, const real *p, real *y, void **routines)"
+        ticks.append(function_source(head, wanted, names, source, trace.tables))
     cases = [f"{label} tick{i}((double)k, s, p, y, routines); break;" for i, label in enumerate(phase_labels(trace))]
     carried, given, kept = len(persistent), len(trace.parameters), len(recorded)
     sizes = dict(PERSISTENT=max(1, carried), PARAMETERS=max(1, given), RECORDED=max(1, kept))
     sizes |= dict(CARRIED=carried, GIVEN=given, KEPT=kept, PERIOD=len(trace.ticks))
     numbers = f"enum {{ {', '.join([f'{name} = {size}' for name, size in sizes.items()])} }};"
-    return "\n".join([_head(trace.tables, many=many), *ticks, numbers, f"#define CASES {' '.join(cases)}", _RUN])
+    return "\n".join([head_source(trace.tables, many=many), *ticks, numbers, f"#define CASES {' '.join(cases)}", _RUN])
 
 
 def phase_labels(trace: Trace, suffix: str = "") -> list[str]:
@@ -127,22 +133,20 @@ def phase_labels(trace: Trace, suffix: str = "") -> list[str]:
     return [*own, "default:"]
 
 
-def lanes_source(tables: Sequence[Table]) -> str:
-    """The head of a C file whose `real` is a vector of LANES cars' numbers: types, functions and these tables."""
-    return _head(tables, many=True)
-
-
-def _head(tables: Sequence[Table], *, many: bool) -> str:
+def head_source(tables: Sequence[Table], *, many: bool = True) -> str:
+    """The head of a C file: types, functions and these tables. many: its `real` is a vector of LANES cars' numbers."""
     return "\n".join(["#include <math.h>\n", MANY if many else ONE, table_source(tables, lanes=many)])
 
 
 def function_source(
     head: str, tick: Tick, names: Sequence[str], source: Callable[[int], str], tables: Sequence[Table]
 ) -> str:
-    """A C function that writes the roots of a graph to `names`. source: the C text of an input."""
-    return "\n".join(
-        [f"static inline void {head}\n{{", *_written(tick.graph, tick.roots, names, source, tables), "}\n"]
-    )
+    """A C function that writes the roots of a graph to `names`: all are read before any is written. source: the C text
+    of an input."""
+    lines = statements(tick.graph, tick.roots, source, tables)
+    lines += [f"  const real w{n} = v{i};" for n, i in enumerate(tick.roots)]
+    lines += [f"  {name} = w{n};" for n, name in enumerate(names)]
+    return "\n".join([f"static inline void {head}\n{{", *lines, "}\n"])
 
 
 def table_source(tables: Sequence[Table], *, lanes: bool = False) -> str:
@@ -172,38 +176,11 @@ def _numbers(rows: NDArray[np.float64]) -> str:
     return text.replace("nan", "NAN").replace("inf", "INFINITY")
 
 
-def _body(trace: Trace, graph: Graph, roots: Sequence[int], names: Sequence[str]) -> str:
-    persistent = {slot: i for i, slot in enumerate(trace.persistent)}
-    slots = len(trace.layout)
-
-    def source(slot: int) -> str:
-        if slot == 0:
-            return "NUMBER(k)"
-        return f"s[{persistent[slot - 1]}]" if slot <= slots else f"p[{slot - slots - 1}]"
-
-    return "\n".join([*_written(graph, roots, names, source, trace.tables), ""])
-
-
-def _written(
-    graph: Graph, roots: Sequence[int], names: Sequence[str], source: Callable[[int], str], tables: Sequence[Table]
-) -> list[str]:
-    """The statements, and those that write the roots to `names`: all are read before any is written."""
-    values = [f"  const real w{n} = v{i};" for n, i in enumerate(roots)]
-    stores = [f"  {name} = w{n};" for n, name in enumerate(names)]
-    return [*statements(graph, roots, source, tables), *values, *stores]
-
-
-def statements(
-    graph: Graph,
-    roots: Sequence[int],
-    source: Callable[[int], str],
-    tables: Sequence[Table],
-    order: Callable[[Graph, Sequence[int]], Sequence[int]] = scheduled,
-) -> list[str]:
-    """One `const real v<node> = ...;` a node, in that order. source: the C text of an input slot."""
+def statements(graph: Graph, roots: Sequence[int], source: Callable[[int], str], tables: Sequence[Table]) -> list[str]:
+    """One `const real v<node> = ...;` a node, `scheduled`. source: the C text of an input slot."""
     lines: list[str] = []
     rows: set[tuple[int, int]] = set()
-    for i in order(graph, roots):
+    for i in scheduled(graph, roots):
         op, *operands = graph.nodes[i]
         if op == "call":
             number, size, *arguments = operands

@@ -9,19 +9,12 @@ import casadi
 import numpy as np
 
 from steerkit.compiled.trace import Layout, trace, traced, with_parameters
-from steerkit.diagram.loop import Loop, LoopState, Sample
+from steerkit.diagram.loop import Loop, Sample
 
 Cost = Callable[[Sequence[float]], tuple[float, np.ndarray]]
 
 
-def gradient(
-    loop: Loop,
-    duration: float,
-    *,
-    parameters: Sequence[str],
-    cost: Callable[[Sample], Any],
-    state: LoopState | None = None,
-) -> Cost:
+def gradient(loop: Loop, duration: float, *, parameters: Sequence[str], cost: Callable[[Sample], Any]) -> Cost:
     """A function of parameter values that gives the mean of `cost` over a run, and its gradient.
 
         J(p) = 1/T sum_k cost(y_k(p)),   S_{k+1} = dF/dz S_k
@@ -30,14 +23,11 @@ def gradient(
     to the run itself and in the same pass.
 
     cost: of one sample, in `steerkit.diagram.maths`: `lambda y: y["path.e"] ** 2`. parameters: block fields, such as
-    "controller.k". state: where to start, the same for all values (default: `loop.init()`). The gradient is that of
-    the branch taken: at a limit or a table's knot it is one-sided. Raises TraceError for an unknown field, ValueError
-    for a start within a period.
+    "controller.k". All values start as the loop does. The gradient is that of the branch taken: at a limit or a table's
+    knot it is one-sided. Raises TraceError for an unknown field.
     """
     trace(loop, parameters=parameters)  # which says what a block does wrong
-    start = loop.init() if state is None else state
-    if start.k % loop.period:
-        raise ValueError(f"gradient: state at tick {start.k}, expected a multiple of the loop's period {loop.period}")
+    start = loop.init()
     layout, m = Layout(loop, start), len(parameters)
     traced("the cost", lambda new: [cost(Sample(loop, new(), layout.unpack([new() for _ in layout.names])[1]))], [])
     head = [float(value) for value in layout.pack(start.x, start.y)]
@@ -52,7 +42,7 @@ def gradient(
     seed = np.vstack((np.zeros((1, m)), np.eye(m), np.zeros((n - 1 - m, m))))
 
     def evaluate(values: Sequence[float]) -> tuple[float, np.ndarray]:
-        first = np.array([0.0, *values, float(start.k), *head])
+        first = np.array([0.0, *values, 0.0, *head])
         total = np.asarray(run(np.column_stack((first, seed))))[0] / (count * loop.period)
         return float(total[0]), total[1:]
 

@@ -145,12 +145,6 @@ class Log(Mapping[str, np.ndarray]):
 
         return log_html(self)
 
-    def _repr_png_(self) -> bytes:
-        """The picture alone."""
-        from steerkit.plots.notebook import png, telling
-
-        return png(self.plot(*telling(self)))
-
 
 class Recorder:
     """Collects chosen signals tick by tick; `log()` turns them into arrays."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from steerkit._support import native
 from steerkit._support.errors import require
 from steerkit._support.random import OpenSeed, RandomState
-from steerkit.compiled.c_code import function_source, lanes_source
+from steerkit.compiled.c_code import function_source, head_source
 from steerkit.compiled.trace import Tick, Trace, trace, traced
 from steerkit.controllers.network_policy import BOUND
 from steerkit.diagram.maths import Table
@@ -225,7 +225,7 @@ def episode_code(task: Task) -> tuple[str, int]:
         "TICKS(s)": " ".join(f"tick{phase}(s);" for phase in range(len(ticks))),
     }
     parts = [
-        lanes_source(tables),
+        head_source(tables),
         *(function(f"tick{phase}(real *s)", tick, state, slot) for phase, tick in enumerate(ticks)),
         function("look(const real *s, real *v)", look, seen, slot),
         function("begin(const real *d, real *s, real *v)", begin, [*state, *seen], "d[{}]".format),

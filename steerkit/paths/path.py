@@ -176,32 +176,10 @@ class Path:
     def frame(self, s: Scalar) -> tuple[Scalar, ...]:
         """(x, y, x', y', x'', y'') at `s` within [0, length]: one table row and two polynomials; any backend."""
         i = m.minimum(m.floor(s * self._per_metre), self._last)  # at a knot either neighbour is as good
-        a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5 = self.table(i)
+        row = self.table(i)
         w = s - (i + 0.5) * self.h
-        # Horner's scheme, for the value, the slope and half the second derivative at once
-        p = a5 * w + a4
-        q = a5 * w + p
-        r = a5 * w + q
-        p = p * w + a3
-        q = q * w + p
-        r = r * w + q
-        p = p * w + a2
-        q = q * w + p
-        ddx = 2.0 * (r * w + q)
-        p = p * w + a1
-        dx = q * w + p
-        x = p * w + a0
-        p = b5 * w + b4
-        q = b5 * w + p
-        r = b5 * w + q
-        p = p * w + b3
-        q = q * w + p
-        r = r * w + q
-        p = p * w + b2
-        q = q * w + p
-        ddy = 2.0 * (r * w + q)
-        p = p * w + b1
-        return x, p * w + b0, dx, q * w + p, ddx, ddy
+        (x, dx, ddx), (y, dy, ddy) = _quintic(w, *row[:6]), _quintic(w, *row[6:])
+        return x, y, dx, dy, ddx, ddy
 
     def inside(self, s: Scalar) -> Scalar:
         """`s` [m] brought to the path: wrapped into [0, length] if closed, else clamped to it."""
@@ -270,6 +248,21 @@ class Path:
     def __repr__(self) -> str:
         at = ", at {:.5f}, {:.5f} deg".format(*self.origin_deg) if self.origin_deg else ""
         return f"Path('{self.name}', {'closed' if self.closed else 'open'}, {self.length:.1f} m{at})"
+
+
+def _quintic(w: Scalar, a0: Scalar, a1: Scalar, a2: Scalar, a3: Scalar, a4: Scalar, a5: Scalar) -> tuple[Scalar, ...]:
+    """A polynomial's value, slope and second derivative at w, by Horner's scheme for all of them at once."""
+    p = a5 * w + a4
+    q = a5 * w + p
+    r = a5 * w + q
+    p = p * w + a3
+    q = q * w + p
+    r = r * w + q
+    p = p * w + a2
+    q = q * w + p
+    second = 2.0 * (r * w + q)
+    p = p * w + a1
+    return p * w + a0, q * w + p, second
 
 
 def _number(s: Any) -> Any:

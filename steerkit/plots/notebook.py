@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from steerkit.diagram.block import brief
 from steerkit.plots.style import save
 
 if TYPE_CHECKING:
@@ -19,13 +20,12 @@ if TYPE_CHECKING:
 
 _SHOWN = ("e", "delta_sw", "v", "a_y", "psi_e", "r")  # outputs worth a panel, best first
 _PANELS = 4
-_LONGEST = 90  # characters of a parameter
 
 
 def block_html(block: Block) -> str:
     """Parameters and ports of a block, each with its unit or value."""
     summary = (type(block).__doc__ or "").strip().split("\n")[0]
-    parameters = [(f.name, _short(getattr(block, f.name))) for f in dataclasses.fields(block)]
+    parameters = [(f.name, brief(getattr(block, f.name))) for f in dataclasses.fields(block)]
     ports = [
         (port.name, "in", port.unit, "seen by output and update" if port.direct else "seen by update only")
         for port in block.inputs
@@ -70,13 +70,6 @@ def png(figure: Any, dpi: int = 110) -> bytes:
     stream = io.BytesIO()
     save(figure, stream, format="png", dpi=dpi)
     return stream.getvalue()
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, np.ndarray) or (isinstance(value, (tuple, list)) and len(value) > 8):
-        return f"{len(value)} entries" if np.ndim(value) <= 1 else " x ".join(map(str, np.shape(value)))
-    text = f"{value:.6g}" if isinstance(value, float) else repr(value)
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

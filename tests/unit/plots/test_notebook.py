@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 
-from steerkit import simulate, vehicle
+from steerkit import simulate
 from steerkit.diagram.block import Block
 from steerkit.diagram.simulation import Log
 from steerkit.doe import Integrator
@@ -26,9 +26,7 @@ def test_a_block_shows_its_parameters_and_ports() -> None:
 
 def test_long_and_odd_parameters_are_cut_and_escaped() -> None:
     driver = RecordedSpeed(speeds=tuple(np.linspace(1.0, 2.0, 500).tolist()), spacing=0.1)
-    assert "500 entries" in driver._repr_html_()
-    html = LinearSingleTrack(vehicle=vehicle("vw-passat"))._repr_html_()
-    assert "..." in html  # the vehicle
+    assert "500 in all" in driver._repr_html_()
     named = LinearSingleTrack(vehicle=type(PASSAT)(**{**vars(PASSAT), "name": "<script>"}))._repr_html_()
     assert "<script>" not in named
 
@@ -45,7 +43,6 @@ def test_a_log_shows_ranges_and_a_picture(log: Log) -> None:
     for words in ("<b>Log</b>", "path.e", "rad/s", "data:image/png;base64,iVBOR"):
         assert words in html
     assert f"{log['car.x'].max():.4g}" in html
-    assert log._repr_png_()[:4] == PNG
     one = Log(np.zeros(1), {"a.b": np.zeros(1)}, {"a.b": "1"})
     assert "<img" not in one._repr_html_()
     assert "no time" in Log(np.zeros(0), {}, {})._repr_html_()
