@@ -18,7 +18,7 @@ from benchmarks.scenarios import open_parameters, shape, suite_loop
 from steerkit.compiled import Compiled, TraceError, compile
 from steerkit.compiled.trace import parameter
 from steerkit.controllers.network_policy import PolicyBlock
-from steerkit.controllers.nfq_policy import Kind, NfqPolicy
+from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop, Sample
 from steerkit.diagram.simulation import Log, simulate
@@ -143,7 +143,7 @@ def _driven(
             return bool(caught or gone)
 
         if policy is not None and isinstance(policy.block, NfqPolicy):
-            drives = _policy_drives(form, policy.setting, Kind(policy.block), record)
+            drives = _policy_drives(form, policy.setting, policy.block.preview_points, record)
             if drives is not None:
                 return drives.run(loop, seconds, over=over)
         return simulate(loop, seconds, record=record, every=_every(loop), until=over, allow_nonfinite=True)
@@ -152,9 +152,12 @@ def _driven(
 
 
 @lru_cache(maxsize=16)
-def _policy_drives(form: Scenario, setting: str, kind: Kind, record: tuple[str, ...]) -> PolicyDrives | None:
-    """The compiled drives that all nets of a kind share, whatever is left open of the scenario; None: interpreted."""
-    policy = Policy(kind.policy, setting)
+def _policy_drives(form: Scenario, setting: str, points: int, record: tuple[str, ...]) -> PolicyDrives | None:
+    """The compiled drives that all nets with such a preview share, whatever is left open of the scenario.
+
+    None: interpreted.
+    """
+    policy = Policy(NfqPolicy(preview_points=points), setting)
     loop = suite_loop(form, policy.block, doe=policy.element(form.nominal))
     return policy_drives(loop, record, open_parameters(form))
 

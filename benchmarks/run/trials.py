@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.run.policy_drives import PolicyDrives, policy_drives
-from steerkit.controllers.nfq_policy import Kind, NfqPolicy
+from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.settings import Setting
@@ -88,15 +88,15 @@ class TrialDrive:
 def drive_each(scenario: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:
     """Let each policy drive one round, all with the same driver and sensors (`seed`).
 
-    Nets of a kind share one compiled loop, to the numbers of the interpreted drive; policies that are no nets, or that
-    drive in a loop that cannot be compiled, are interpreted, which takes a second or two each.
+    Nets with the same ports share one compiled loop, to the numbers of the interpreted drive; policies that are no
+    nets, or that drive in a loop that cannot be compiled, are interpreted, which takes a second or two each.
     """
     return [_drive_one(scenario, setting, policy, seed) for policy in policies]
 
 
 def _drive_one(scenario: Scenario, setting: Setting, policy: Any, seed: int, *, compiled: bool = True) -> TrialDrive:
     doe = setting.element(scenario.nominal)
-    drives = _drives(scenario, setting, Kind(policy)) if compiled and isinstance(policy, NfqPolicy) else None
+    drives = _drives(scenario, setting, policy.preview_points) if compiled and isinstance(policy, NfqPolicy) else None
     if drives is None:
         log = evaluate.drive(scenario, policy, doe=doe, seed=seed, rounds=1.0, only_while_held=True)
     else:
@@ -132,7 +132,7 @@ def _first(flags: np.ndarray) -> int:
 
 
 @lru_cache(maxsize=8)
-def _drives(scenario: Scenario, setting: Setting, kind: Kind) -> PolicyDrives | None:
-    """The compiled drives that all nets of a kind share; None: interpreted."""
-    loop = evaluate.drive_loop(scenario, kind.policy, doe=setting.element(scenario.nominal))
+def _drives(scenario: Scenario, setting: Setting, points: int) -> PolicyDrives | None:
+    """The compiled drives that all nets with such a preview share; None: interpreted."""
+    loop = evaluate.drive_loop(scenario, NfqPolicy(preview_points=points), doe=setting.element(scenario.nominal))
     return policy_drives(loop, SIGNALS)

@@ -95,45 +95,43 @@ class DelayCompensator:
     the car feels (`felt`). The measured w and r_e are filtered first, as sensors are noisy: trust*measured +
     (1 - trust)*predicted a sample before.
 
-    Every number may be a symbol. Raises ValueError unless 0 <= samples <= LONGEST and 0 < trust <= 1.
+    Raises ValueError unless 0 <= samples <= LONGEST and 0 < trust <= 1.
     Source: Walsh, Nouri, Li, Littman 2009 (learning with constant delay by simulating the model over it); Smith 1957.
     """
 
-    samples: Any = 0
+    samples: int = 0
     """Dead time in samples: whole ones; what is left of one is in the numbers below."""
-    now: Any = 0.0
-    before: Any = 0.0
-    earlier: Any = 0.0
-    back: Any = 0.0
-    slip: Any = 0.0
-    yaw: Any = 0.0
-    straight: Any = 0.0
+    now: float = 0.0
+    before: float = 0.0
+    earlier: float = 0.0
+    back: float = 0.0
+    slip: float = 0.0
+    yaw: float = 0.0
+    straight: float = 0.0
     """Angle of the wheel at which the car goes straight on [rad]; the policy gets angles from there."""
-    trust: Any = 1.0
+    trust: float = 1.0
     """Share of the measurement in the filtered values [1]."""
-    loss: Any = 0.0
-    nose: Any = 1.0
-    tail: Any = 0.0
-    fast: Any = 0.0
+    loss: float = 0.0
+    nose: float = 1.0
+    tail: float = 0.0
+    fast: float = 0.0
     """More numbers of `moved`."""
-    lead: Any = 0.0
+    lead: float = 0.0
     """By how much the steering overshoots a change, as a share of it [1]."""
-    fade: Any = 0.0
+    fade: float = 0.0
     """Share of that which is gone a sample later [1]."""
-    most: Any = UNLIMITED
+    most: float = UNLIMITED
     """Largest overshoot, times v^2 [rad m^2/s^2]."""
-    slew: Any = UNLIMITED
+    slew: float = UNLIMITED
     """Largest change in a sample, times v^2 [rad m^2/s^2]."""
     dt: float = DT
     """Sample time [s]."""
 
     def __post_init__(self) -> None:
         where, samples, trust = "DelayCompensator", self.samples, self.trust
-        if not m.is_symbol(samples):
-            whole = isinstance(samples, int) and 0 <= samples <= LONGEST
-            require(whole, where, f"samples = {samples!r}, expected 0 to {LONGEST}")
-        if not m.is_symbol(trust):
-            require(0.0 < trust <= 1.0, where, f"trust = {trust}, expected 0 < trust <= 1")
+        whole = isinstance(samples, int) and 0 <= samples <= LONGEST
+        require(whole, where, f"samples = {samples!r}, expected 0 to {LONGEST}")
+        require(0.0 < trust <= 1.0, where, f"trust = {trust}, expected 0 < trust <= 1")
 
     @property
     def numbers(self) -> tuple[Any, ...]:
@@ -151,11 +149,9 @@ class DelayCompensator:
         w, r_e = self._filtered(x, u, v)
         c = m.where(self.fast > 0.5, u.e_dot / v, w + u.psi_e)
         motion, angles = CourseMotion(u.e, c, c - w, r_e), self._angles(x, u)
-        is_open = m.is_symbol(self.samples)
-        for i in range(LONGEST if is_open else self.samples):
+        for i in range(self.samples):
             bend = v * (u.preview[i + 1] - u.preview[i])
-            after = moved(self, motion, v, angles[i + 3 : i : -1], bend, self.dt)
-            motion = CourseMotion(*m.chosen(i < self.samples, after, motion)) if is_open else after
+            motion = moved(self, motion, v, angles[i + 3 : i : -1], bend, self.dt)
         e, c, psi_e, r_e = motion
         return e, v * c, u.v, psi_e, r_e, u.doe - self.straight
 
@@ -192,13 +188,7 @@ class DelayCompensator:
     def _angles(self, x: State, u: Any) -> Sequence[Any]:
         """The wheel's angles on their way, oldest first: of them 1, 2, 3 act until the next sample, 2, 3, 4 then."""
         angles = (*x[:_REMEMBERED], self._felt(x, u)[0])
-        if not m.is_symbol(self.samples):
-            return [angle - self.straight for angle in angles[LONGEST - self.samples :]]
-        shown = list(angles[LONGEST:])
-        for samples in range(1, LONGEST + 1):
-            here, there = angles[LONGEST - samples :], self.samples == samples
-            shown = [m.where(there, a, b) for a, b in zip(here, shown)] + list(here[len(shown) :])
-        return [angle - self.straight for angle in shown]
+        return [angle - self.straight for angle in angles[LONGEST - self.samples :]]
 
 
 def nothing(batch: tuple[int, ...] = ()) -> State:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 import operator
@@ -23,7 +22,7 @@ from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State, without_port
 from steerkit.diagram.units import radians_of
-from steerkit.task import DT, STOP
+from steerkit.task import STOP
 
 Net = tuple[NDArray[Any], ...]
 """An all-sigmoid net as plain arrays: W [n_out, n_in] and b [n_out] of each layer in turn; the last has one unit."""
@@ -69,8 +68,6 @@ class NfqPolicy(Policy):
     """Take actions between those of the set too?"""
     preview_points: int = 0
     """`forecast.PREVIEW` for a policy that has a forecast, or may get one while it drives; else 0."""
-    preview_dt: float = DT
-    """Time between two curvatures of the preview [s]."""
     forecast: DelayCompensator | None = None
     """The car's dead time and how it answers the wheel; None: commands act at once."""
 
@@ -235,7 +232,6 @@ class NfqPolicy(Policy):
             "continuous": self.continuous,
             "dt": self.dt,
             "preview_points": self.preview_points,
-            "preview_dt": self.preview_dt,
             **self.description.arrays(),
             "nets": len(self.nets or ()),
             **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
@@ -259,70 +255,10 @@ class NfqPolicy(Policy):
                 dt=float(f["dt"]),
                 continuous=bool(f["continuous"]),
                 preview_points=int(f["preview_points"]),
-                preview_dt=float(f["preview_dt"]),
                 forecast=_forecast_in(f),
             )
         except (ValueError, TypeError, KeyError) as why:
             raise ValueError(f"{path}: the policy in it does not hold together: {why}") from why
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class OpenPolicy(NfqPolicy):
-    """Stands for all `NfqPolicy`s of a `Kind` in a loop that is compiled once: their nets, of any layout, are called,
-    and their forecasts are open.
-
-    Equations, ports and state are those of `NfqPolicy`; the other fields are those of one of the kind. Source: see
-    there.
-    """
-
-    called: m.Routine
-    """The state as the nets see it to the value of each action, the gentlest first."""
-    numbers: tuple[Any, ...] = ()
-    """Those of the forecast: `numbers_of`."""
-
-    @classmethod
-    def of(cls, policy: NfqPolicy, called: m.Routine) -> OpenPolicy:
-        """For policies like this one."""
-        same = {field.name: getattr(policy, field.name) for field in dataclasses.fields(policy)}
-        return cls(**same, called=called, numbers=numbers_of(policy))
-
-    def _seen(self, x: State, u: Any) -> tuple[Any, ...]:
-        if not m.is_symbol(self.numbers[0]):
-            return super()._seen(x, u)
-        here = tuple(u[:_INPUTS])
-        return m.chosen(self.numbers[0] > 0.5, self._forecast.ahead(x, u), here) if self.preview_points else here
-
-    def _symbolic(self, s: Any) -> tuple[Any, Any]:
-        return self.least(self.called(*s))
-
-    @property
-    def _forecast(self) -> DelayCompensator:
-        foresees, samples, *numbers = self.numbers
-        if not m.is_symbol(foresees):  # a loop asks for its outputs once before it is traced
-            return super()._forecast
-        return DelayCompensator(samples=samples).with_numbers(numbers)
-
-
-def numbers_of(policy: NfqPolicy) -> tuple[float, ...]:
-    """The `numbers` of an `OpenPolicy` for this one: has it a forecast, and all of that, or of a car that stands."""
-    about = policy._forecast
-    return (float(policy.forecast is not None), float(about.samples), *map(float, about.numbers))
-
-
-class Kind:
-    """What a loop compiled for an `OpenPolicy` depends on, as the key of a cache: equal for all policies it serves."""
-
-    def __init__(self, policy: NfqPolicy):
-        self.policy = policy
-        """One of them."""
-        reading = policy.preview_points, policy.preview_dt, policy.dt, policy.ready_from
-        self._key = policy.actions, repr(policy.description), policy.continuous, *reading
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Kind) and self._key == other._key
 
 
 _STANDS = DelayCompensator()

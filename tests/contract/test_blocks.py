@@ -327,7 +327,7 @@ def documents(kind: type[Block]) -> str:
     return "\n".join(c.__doc__ or "" for c in kind.__mro__ if issubclass(c, Block) and c is not Block)
 
 
-ELSEWHERE = {"PredictiveSteering", "MPC", "NonlinearMPC", "RealCar", "FmuPlant", "OpenPolicy"}
+ELSEWHERE = {"PredictiveSteering", "MPC", "NonlinearMPC", "RealCar", "FmuPlant"}
 """Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is somebody's file,
 an open policy is run on symbols only."""
 STARTS = {"VehicleState", "WithElement-PolicyBlock"}

@@ -1,6 +1,5 @@
 """Drives of learned policies, compiled, are those that are interpreted."""
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,7 +7,7 @@ import pytest
 
 from benchmarks.run.policy_drives import PolicyDrives, policy_drives
 from steerkit.controllers.delay_compensator import LONGEST, DelayCompensator
-from steerkit.controllers.nfq_policy import Kind, NfqPolicy
+from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import Integrator
 from steerkit.learning.learner_state import untrained
@@ -33,7 +32,7 @@ FORECAST = DelayCompensator(samples=3, now=0.02, before=0.03, earlier=0.01, back
         *(learned(forecast=replace(FORECAST, samples=n, loss=0.002, straight=0.05)) for n in (0, 1, 2, LONGEST)),
     ],
 )
-def test_compiled_drives_serve_every_policy_of_a_kind_to_the_last_bit(policy: NfqPolicy) -> None:
+def test_compiled_drives_serve_every_policy_to_the_last_bit(policy: NfqPolicy) -> None:
     scenario, doe = Scenario.under("hard", course="circle", driver={"v_max": 9.0}), DEFAULT.element()
     recovery = scenario.recovery_controller()
     one, other = (assembled(scenario, p, doe=doe, recovery=recovery, seed=4) for p in (learned(), policy))
@@ -42,22 +41,6 @@ def test_compiled_drives_serve_every_policy_of_a_kind_to_the_last_bit(policy: Nf
     for name in log:
         assert log[name].tobytes() == plain[name].tobytes(), name
     assert log.state == plain.state
-    assert Kind(learned()) == Kind(policy)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"actions": (-6.28, 6.28)},
-        {"continuous": False},
-        {"preview_points": 0},
-        {"dt": 0.1},
-        {"ready_from": math.inf},
-        {"description": replace(DEFAULT.description(), scaled_from=5.0)},
-    ],
-)
-def test_what_a_compiled_drive_depends_on_is_the_kind(changes: dict[str, Any]) -> None:
-    assert Kind(learned()) != Kind(learned(**changes))
 
 
 def test_what_cannot_be_compiled_is_interpreted() -> None:
@@ -66,6 +49,13 @@ def test_what_cannot_be_compiled_is_interpreted() -> None:
     assert policy_drives(loop, ["path.e"]) is None
     with pytest.raises(ValueError, match="the controller is a Stanley, expected an NfqPolicy"):
         PolicyDrives(drive_loop(scenario, controller("stanley", scenario)), ["path.e"])
+
+
+def test_a_policy_with_other_ports_is_refused() -> None:
+    scenario = Scenario(course="circle")
+    one, other = (drive_loop(scenario, p, doe=DEFAULT.element()) for p in (learned(), learned(preview_points=0)))
+    with pytest.raises(ValueError, match="a policy with another preview or dt"):
+        PolicyDrives(one, ["path.e"]).run(other, 1.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
