@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import require
@@ -132,16 +132,6 @@ class DelayCompensator:
         whole = isinstance(samples, int) and 0 <= samples <= LONGEST
         require(whole, where, f"samples = {samples!r}, expected 0 to {LONGEST}")
         require(0.0 < trust <= 1.0, where, f"trust = {trust}, expected 0 < trust <= 1")
-
-    @property
-    def numbers(self) -> tuple[Any, ...]:
-        """All but `samples` and `dt`, in order: what differs between cars of the same dead time."""
-        return astuple(self)[1:-1]
-
-    def with_numbers(self, numbers: Sequence[Any]) -> DelayCompensator:
-        """The same dead time with other `numbers`."""
-        names = [field.name for field in fields(self)][1:-1]
-        return DelayCompensator(samples=self.samples, dt=self.dt, **dict(zip(names, numbers, strict=True)))
 
     def ahead(self, x: State, u: Any) -> tuple[Any, ...]:
         """The policy's six inputs (e, e_dot, v, psi_e, r_e, doe) when its command acts; x, u: see `remember`."""

@@ -7,7 +7,7 @@ import math
 import operator
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -131,7 +131,7 @@ class NfqPolicy(Policy):
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         """The greedy action, its value, and whether to be trusted with the wheel."""
-        s = self._seen(x, u)
+        s = tuple(u[:_INPUTS]) if self.forecast is None else self.forecast.ahead(x, u)
         if not self.nets:
             nothing = np.zeros(np.broadcast(*s).shape) if any(isinstance(value, np.ndarray) for value in s) else 0.0
             return self.Y(action=nothing, q=nothing, ready=nothing)
@@ -142,7 +142,7 @@ class NfqPolicy(Policy):
         ready, nan = m.where(t >= self.ready_from, 1.0, 0.0), float("nan")
         sound = m.is_finite(s[0] + s[1] + s[2] + s[3] + s[4] + s[5])  # tanh would hide an infinity
         if all(value.__class__ is float for value in s):
-            column = self.values(*(s if sound else [nan] * len(s)))
+            column = self._values(np.array(s if sound else [nan] * len(s))[:, None]).tolist()
             q = min(column)
             action = self._order[column.index(q)]
             if self.continuous:
@@ -158,10 +158,6 @@ class NfqPolicy(Policy):
                 action = self._between(list(values), action)
             ready = ready + np.zeros(states.shape[1:])
         return self.Y(action=m.where(sound, share * action, nan), q=q, ready=ready)
-
-    def _seen(self, x: State, u: Any) -> tuple[Any, ...]:
-        """The state to act on: the one that is measured, or the one in which the command will act."""
-        return tuple(u[:_INPUTS]) if self.forecast is None else self._forecast.ahead(x, u)
 
     @property
     def _forecast(self) -> DelayCompensator:
@@ -195,10 +191,6 @@ class NfqPolicy(Policy):
         for w, d in layers:
             h = np.tanh(w @ h + d)
         return 0.5 + 0.5 * mean_of(h)
-
-    def values(self, *s: float) -> list[float]:
-        """q of every action, the gentlest first, for one state as the nets see it."""
-        return self._values(np.array(s)[:, None]).tolist()
 
     def _symbolic(self, u: Any) -> tuple[Any, Any]:
         """The same in scalars, for tracing."""
@@ -237,7 +229,7 @@ class NfqPolicy(Policy):
             **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
         }
         if self.forecast is not None:
-            arrays |= {"dead_samples": self.forecast.samples, "forecast": self.forecast.numbers}
+            arrays |= {"dead_samples": self.forecast.samples, "forecast": astuple(self.forecast)[1:-1]}
         write_arrays(path, "policy", arrays, durable=durable)
 
     @classmethod
@@ -268,10 +260,9 @@ def _forecast_in(f: Any) -> DelayCompensator | None:
     """The forecast of a policy's file, if it holds one."""
     if "dead_samples" not in f:
         return None
-    numbers, found = f["forecast"].tolist(), DelayCompensator(samples=int(f["dead_samples"]), dt=float(f["dt"]))
-    count = len(found.numbers)
-    require(len(numbers) == count, "forecast", f"{len(numbers)} numbers, expected {count}; learn anew")
-    found = found.with_numbers(numbers)
+    numbers, names = f["forecast"].tolist(), [field.name for field in fields(DelayCompensator)][1:-1]
+    require(len(numbers) == len(names), "forecast", f"{len(numbers)} numbers, expected {len(names)}; learn anew")
+    found = DelayCompensator(samples=int(f["dead_samples"]), dt=float(f["dt"]), **dict(zip(names, numbers)))
     for name in (*ahead.ANSWER, "straight"):  # some 0.01, 0.2 and 0.4; others would steer straight on in silence
         require(
             abs(getattr(found, name)) <= 10.0, "forecast", f"{name} = {getattr(found, name):g}, expected within +-10"

@@ -91,6 +91,11 @@ class Sensors(_Sensing):
         `DegradedSensors.real` adds what goes wrong on the way, and has no sideslip."""
         return replace(cls.hard(seed), v_noise=0.05)
 
+    def scaled(self, size: float) -> Self:
+        """The same with all noise and drift `size` times as large."""
+        names = ("position_noise", "position_drift", "psi_noise", "psi_drift", "v_noise", "beta_noise", "r_noise")
+        return replace(self, **{name: size * getattr(self, name) for name in names})
+
     def __post_init__(self) -> None:
         super().__post_init__()
         whole_samples("Sensors", "latency", self.latency, self.dt)
@@ -204,11 +209,9 @@ class DegradedSensors(_Sensing):
 
     def scaled(self, size: float) -> Self:
         """The same with all errors but the age `size` times as large; `lost` too, up to a half."""
-        inner = self.block
-        names = ("position_noise", "position_drift", "psi_noise", "psi_drift", "v_noise", "beta_noise", "r_noise")
         return replace(
             self,
-            block=replace(inner, **{name: size * getattr(inner, name) for name in names}),
+            block=self.block.scaled(size),
             lost=min(0.5, size * self.lost),
             jump=size * self.jump,
             heading_drift=size * self.heading_drift,

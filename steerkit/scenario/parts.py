@@ -391,15 +391,7 @@ class Sensing(Part):
         sideslip = self.kind == "hard"
         if not any((noise, latency, *biases.values())) and sideslip and self.estimator == "none":
             return None
-        full = Sensors.hard(seed)
-        hard = replace(
-            full,
-            position_drift=noise * full.position_drift,
-            psi_drift=noise * full.psi_drift,
-            r_noise=noise * full.r_noise,
-            latency=latency,
-            **biases,
-        )
+        hard = replace(Sensors.hard(seed).scaled(noise), latency=latency, **biases)
         return hard if sideslip else DegradedSensors(block=hard, rear=nominal.l_r)
 
     def state_estimator(self, nominal: Vehicle) -> VehicleState | None:

@@ -26,6 +26,7 @@ from steerkit.scenario.assembly import placed
 from steerkit.scenario.catalogue import AUTO, RECOVERIES, DesignModel, make_recovery, plant_kind
 from steerkit.scenario.parts import PARTS, Car, Course, Disturbances, Driver, Knowledge, Sensing, Steering
 from steerkit.vehicles import Vehicle
+from steerkit.vehicles.file import rows_of
 
 FORMAT = "steerkit scenario 2"
 END_MARGIN = 5.0
@@ -311,9 +312,9 @@ def read_scenario(file: str | FilePath) -> Scenario:
 def write_scenario(scenario: Scenario, file: str | FilePath) -> None:
     """Write a scenario as TOML, with the files that it needs in it; `read_scenario` gives it back bit for bit."""
     table = asdict(scenario)
-    rows = [f"format = {json.dumps(FORMAT)}", *_rows({k: v for k, v in table.items() if k not in PARTS})]
+    rows = [f"format = {json.dumps(FORMAT)}", *rows_of({k: v for k, v in table.items() if k not in PARTS})]
     for name in PARTS:
-        rows += ["", f"[{name}]", *_rows(table[name])]
+        rows += ["", f"[{name}]", *rows_of(table[name])]
     FilePath(file).write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
@@ -329,16 +330,3 @@ def of_table(table: Table, where: str, made: type[Scenario] = Scenario) -> Scena
         return made(**values)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
-
-
-def _rows(table: Table) -> list[str]:
-    return [f"{key} = {_value(value)}" for key, value in table.items() if value is not None]
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    require(math.isfinite(value), "scenario", f"{value} cannot be written")
-    return repr(float(value))

@@ -43,8 +43,13 @@ def vehicle_text(car: Vehicle, **more: Mapping[str, Any] | None) -> str:
     rows = [f"format = {json.dumps(FORMAT)}"]
     for name, table in ({"vehicle": dataclasses.asdict(car)} | more).items():
         if table:
-            rows += ["", f"[{name}]{_REMARKS.get(name, '')}", *(f"{key} = {_value(v)}" for key, v in table.items())]
+            rows += ["", f"[{name}]{_REMARKS.get(name, '')}", *rows_of(table)]
     return "\n".join(rows) + "\n"
+
+
+def rows_of(table: Mapping[str, Any]) -> list[str]:
+    """A table in lines of TOML, without what is None."""
+    return [f"{key} = {_value(value)}" for key, value in table.items() if value is not None]
 
 
 def _value(value: Any) -> str:
@@ -52,7 +57,9 @@ def _value(value: Any) -> str:
         return f"{{ {', '.join(f'{key} = {_value(v)}' for key, v in value.items())} }}"
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(_value, value))}]"
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(float(value))
+    if isinstance(value, str | bool):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(float(value))
 
 
 def text_of(file: str | Path) -> str:

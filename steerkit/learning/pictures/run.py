@@ -84,8 +84,10 @@ class Record:
         """RMS of e over the last `window` [s] at each sample, of the learner's samples only; NaN without any."""
         n = max(1, round(window / float(np.median(np.diff(self.log.t)))) if len(self.log.t) > 1 else 1)
         learns = self.learning
-        squares = _trailing(np.where(learns, self.log["path.e"] ** 2, 0.0), n)
-        counts = _trailing(learns.astype(float), n)
+        squares, counts = (
+            np.convolve(values, np.ones(n))[: len(learns)]
+            for values in (np.where(learns, self.log["path.e"] ** 2, 0.0), learns)
+        )
         return np.sqrt(np.divide(squares, counts, out=np.full(len(counts), np.nan), where=learns))
 
 
@@ -277,10 +279,3 @@ def _look_at(course: Axes, x: Array, y: Array) -> None:
         middle = 0.5 * float(values.min() + values.max())
         course.set(**{f"{name}lim": (middle - half, middle + half), f"{name}label": f"{name} [m]"})
     course.set_aspect("equal")
-
-
-def _trailing(x: Array, n: int) -> Array:
-    """Sums over the last n entries, at each entry."""
-    total = np.concatenate([np.zeros(1), np.cumsum(x)])
-    end = np.arange(1, len(x) + 1)
-    return total[end] - total[np.maximum(end - n, 0)]

@@ -106,14 +106,13 @@ def test_noise_is_filtered_and_a_nan_is_forgotten() -> None:
     assert 0.0 < np.std(errors) < 0.006  # of 0.01
 
 
-def test_a_policy_with_a_forecast_comes_back_bit_for_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_policy_with_a_forecast_comes_back_bit_for_bit(tmp_path: Path) -> None:
     policy = NfqPolicy(nets=(new_net(seed=1),), preview_points=PREVIEW, forecast=TORQUE, continuous=True)
     policy.save(tmp_path / "p.npz")
     again = NfqPolicy.load(tmp_path / "p.npz")
     assert (again.forecast, again.continuous, again.preview_points) == (TORQUE, True, PREVIEW)
-    monkeypatch.setattr(DelayCompensator, "numbers", property(lambda car: (0.0,) * 12))
-    policy.save(tmp_path / "p.npz")
-    monkeypatch.undo()
+    kept = dict(np.load(tmp_path / "p.npz")) | {"forecast": np.zeros(12)}
+    np.savez(tmp_path / "p.npz", **kept)
     with pytest.raises(ValueError, match="12 numbers, expected 16"):
         NfqPolicy.load(tmp_path / "p.npz")
 

@@ -210,7 +210,7 @@ def test_steering_that_overshoots_and_is_slow_is_found_and_none_where_there_is_n
     torque = process_of(late(4, car=replace(FAST, **shape), speeds=speeds, action=0.3, n=1200), DESCRIPTION, 0.6)
     found = tuple(getattr(torque.model, name) for name in FELT)
     assert found == (pytest.approx(1.2, abs=0.61), 0.07, 6.0, 8.0), "what it felt before an episode is not known"
-    assert torque.forecast.numbers[-4:] == found
+    assert tuple(getattr(torque.forecast, name) for name in FELT) == found
     assert torque.model.loss == pytest.approx(FAST.loss, rel=0.1)
     for noise in (0.0, 0.01):
         plain = process_of(late(4, car=FAST, speeds=speeds, action=0.3, n=1200, noise=noise), DESCRIPTION, 0.6).model
