@@ -193,7 +193,7 @@ class LearningRun:
         counts.k += self.ticks
         if ended:
             self._after_failure()
-        elif learning and self._had_enough():
+        elif learning and self.safe and learner_state.corrected(self._value("safety.share")):
             learner_state.trusted = False  # recovery steers from the next sample on, and that trains
             self.steer()
         elif learning and learner_state.due():
@@ -204,10 +204,6 @@ class LearningRun:
             self.keep(self)
         if int(self.t) > second:
             self._tell("second")
-
-    def _had_enough(self) -> bool:
-        """Has the policy been corrected for as long as it may be?"""
-        return self.safe and self.learner_state.corrected(self._value("safety.share"))
 
     def _after_failure(self) -> None:
         learner_state, setting = self.learner_state, self.experiment.setting

@@ -242,7 +242,7 @@ def resumed(place: FilePath, *, watch: Watcher | None = None) -> LearningRun:
 
 def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     number = data["checkpoint"]
-    run = LearningRun(_experiment(place, data))
+    run = LearningRun(experiment_of(place, data))
     run.source = data.get("source")
     learner_state = run.learner_state
     learner_state.counts = _counts(place, data["counts"])
@@ -280,12 +280,9 @@ def drive_log(place: FilePath, *, until: float = math.inf) -> Log:
     return joined([part for part in parts if not len(part.t) or part.t[0] < until])
 
 
-def experiment_of(place: FilePath) -> Experiment:
-    """The experiment that a run directory holds."""
-    return _experiment(place, document(place))
-
-
-def _experiment(place: FilePath, data: dict[str, Any]) -> Experiment:
+def experiment_of(place: FilePath, data: dict[str, Any] | None = None) -> Experiment:
+    """The experiment that a run directory holds; data: its `document`, if that was read already."""
+    data = document(place) if data is None else data
     with named_in(f"{place}/run.json", data.get("code")):
         return from_plain(data["experiment"], "run.json", Experiment)
 

@@ -62,7 +62,8 @@ def errors_of(path: FilePath) -> Iterator[None]:
 
 def connect(path: FilePath, timeout: float = 5.0) -> sqlite3.Connection:
     """A connection that makes no file, and waits for the disk at every commit."""
-    db = sqlite3.connect(_uri(path), uri=True, isolation_level=None, timeout=timeout)
+    uri = f"file:{quote(str(path.absolute()))}?mode=rw"
+    db = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=timeout)
     db.execute("PRAGMA synchronous = FULL")
     return db
 
@@ -138,10 +139,6 @@ def _create(path: FilePath, names: tuple[str, ...]) -> None:
 def checksum(episode: int, numbers: bytes) -> int:
     """CRC-32 of a row."""
     return zlib.crc32(numbers, episode & 0xFFFFFFFF)
-
-
-def _uri(path: FilePath) -> str:
-    return f"file:{quote(str(path.absolute()))}?mode=rw"
 
 
 PERIOD = 0.25

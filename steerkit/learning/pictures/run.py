@@ -54,7 +54,8 @@ class Record:
     def read(cls, place: str | FilePath) -> Record:
         """From a run directory; raises ValueError when there is none or it is broken."""
         place = FilePath(place)
-        data, experiment = rundir.document(place), rundir.experiment_of(place)
+        data = rundir.document(place)
+        experiment = rundir.experiment_of(place, data)
         return cls(
             name=f"{place.resolve().name}: {experiment.setting.name} on {experiment.scenario.course.name}",
             experiment=experiment,
