@@ -66,7 +66,7 @@ def imported(name: str, where: str) -> Any:
     where = f"{where} '{name}'"
     require(home and thing.isidentifier(), where, "expected FILE.py:NAME or PACKAGE.MODULE:NAME")
     _note(home, where)
-    module = _from_file(Path(home), where) if home.endswith(".py") else _from_package(home, where)
+    module = _module(home, where)
     public = [key for key in vars(module) if not key.startswith("_")]
     require(hasattr(module, thing), where, f"{home} has no '{thing}'; it has {', '.join(public) or 'nothing'}")
     return getattr(module, thing)
@@ -112,7 +112,7 @@ def fingerprint(name: str, where: str) -> str:
 def _print(home: str, where: str) -> str:
     if home.endswith(".py"):
         return _digest(_text(Path(home), where))
-    _from_package(home, where)
+    _module(home, where)
     file = getattr(sys.modules[home], "__file__", None)
     return _digest(Path(file).read_bytes()) if file else ""
 
@@ -128,14 +128,16 @@ def fingerprints(data: Any) -> dict[str, str]:
     return found
 
 
-def _from_file(file: Path, where: str) -> ModuleType:
-    text = _text(file, where)
+def _module(home: str, where: str) -> ModuleType:
+    """The module of that name, or in that file."""
+    text = _text(Path(home), where) if home.endswith(".py") else None
     try:
-        return _run(file.resolve(), text)
+        return importlib.import_module(home) if text is None else _run(Path(home).resolve(), text)
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise ValueError(f"{where}: {file} fails when it is imported: {_line(error)}") from error
+        what = f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
+        raise ValueError(f"{where}: {home} fails when it is imported: {what}") from error
 
 
 @lru_cache
@@ -157,15 +159,6 @@ def _run(file: Path, text: bytes) -> ModuleType:
     return module
 
 
-def _from_package(home: str, where: str) -> ModuleType:
-    try:
-        return importlib.import_module(home)
-    except BaseException as error:
-        if isinstance(error, KeyboardInterrupt):
-            raise
-        raise ValueError(f"{where}: module {home} cannot be imported: {_line(error)}") from error
-
-
 def _text(file: Path, where: str) -> bytes:
     try:
         return read_bytes(file)
@@ -175,7 +168,3 @@ def _text(file: Path, where: str) -> bytes:
 
 def _digest(text: bytes) -> str:
     return hashlib.sha256(text).hexdigest()[:16]
-
-
-def _line(error: BaseException) -> str:
-    return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"

@@ -180,7 +180,7 @@ class Block:
     def __repr__(self) -> str:
         """Its parameters in a line or two, however many numbers they hold."""
         values = (
-            f"{field.name}={brief(getattr(self, field.name))}" for field in dataclasses.fields(self) if field.repr
+            f"{field.name}={_brief(getattr(self, field.name))}" for field in dataclasses.fields(self) if field.repr
         )
         return f"{type(self).__name__}({', '.join(values)})"
 
@@ -208,7 +208,7 @@ _SHOWN = 8
 """Entries of a tuple that are printed."""
 
 
-def brief(value: Any, *, inside: bool = False) -> str:
+def _brief(value: Any, *, inside: bool = False) -> str:
     """A parameter as it is printed: arrays by their shape, long tuples by their first entries."""
     if isinstance(value, np.ndarray) and value.size > _SHOWN:
         return f"<array {value.shape}>"
@@ -216,7 +216,7 @@ def brief(value: Any, *, inside: bool = False) -> str:
         return repr(value)
     if inside and not all(isinstance(entry, float | int | str) for entry in value):
         return f"<{len(value)} entries>"
-    shown = [brief(entry, inside=True) for entry in value[:_SHOWN]]
+    shown = [_brief(entry, inside=True) for entry in value[:_SHOWN]]
     more = [f"... {len(value)} in all"] if len(value) > _SHOWN else [""] * (len(value) == 1)
     return f"({', '.join([*shown, *more]).strip()})"
 

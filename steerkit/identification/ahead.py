@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from steerkit.identification.fit import SLOW_ENOUGH, Identified, Simulator
-from steerkit.logs.drive import HEADING_WINDOW, Array, Drive, moments
+from steerkit.logs.drive import HEADING_WINDOW, Array, Drive
+from steerkit.metrics import rms
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.vehicles import Vehicle
@@ -84,7 +85,7 @@ def look_ahead(found: Identified, drive: Drive) -> Ahead:
         way = cumulative_trapezoid(velocity * turned, dx=dt, axis=0, initial=0.0)[ends]
         said = {"v_x": velocity.real[ends], "v_y": aside[ends], "longitudinal": way.real, "lateral": way.imag}
         for quantity, by_predictor in errors.items():
-            by_predictor[who] = tuple(moments(miss)[0] for miss in said[quantity] - measured[quantity])
+            by_predictor[who] = tuple(map(rms, said[quantity] - measured[quantity]))
     note += "; none foresees v"
     if known:
         note += f"; measured {arms[0]:+.2f} m ahead of the centre of gravity (kinematics: {arms[1]:+.2f} m)"

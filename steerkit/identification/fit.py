@@ -24,7 +24,8 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.simulation import Log
 from steerkit.estimators.estimate import NORMAL_95
-from steerkit.logs.drive import Array, Drive, moments
+from steerkit.logs.drive import Array, Drive
+from steerkit.metrics import rms
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -300,17 +301,16 @@ def predict(simulator: Simulator, theta: dict[str, float]) -> Prediction:
     predicted = rates[:, 0] + zero
     error = drive.r - predicted
     use = np.flatnonzero(drive.driving)
-    rms_driving, mean = moments(error[use])
     slope = (rates[:, 1] - rates[:, 0]) / step
     first, later = np.split(use, [min(len(use) // 2, round(REZERO / drive.dt))])
     shift = float(slope[first] @ error[first] / (slope[first] @ slope[first]))
     return Prediction(
         drive=drive,
         r=predicted,
-        rms=moments(error[drive.measured])[0],
-        rms_driving=rms_driving,
-        mean_driving=mean,
-        rms_rezeroed=moments((error - shift * slope)[later])[0],
+        rms=rms(error[drive.measured]),
+        rms_driving=rms(error[use]),
+        mean_driving=float(np.mean(error[use])),
+        rms_rezeroed=rms((error - shift * slope)[later]),
         zero_shift=shift,
     )
 
@@ -459,7 +459,7 @@ class _Problem:
             theta = solution.x
             error = self.linearised(theta)[0]
             correlation = dt * (2.0 * float(np.sum(self._autocorrelation(error))) - 1.0)
-            sigma = max(moments(error)[0], 1e-7) * math.sqrt(correlation / dt)
+            sigma = max(rms(error), 1e-7) * math.sqrt(correlation / dt)
             if abs(sigma / before - 1.0) < 0.02:
                 break
         return theta, sigma, correlation
@@ -505,7 +505,7 @@ class _Problem:
         full[self.use] = slopes / sigma**2
         spectrum = np.maximum(2.0 * np.fft.rfft(rho, len(full)).real - 1.0, 0.0)  # cut off it is below 0 in places
         near = np.fft.irfft(np.fft.rfft(full, axis=0) * spectrum[:, None], len(full), axis=0)
-        together = moments(error)[0] ** 2 * full.T @ near
+        together = rms(error) ** 2 * full.T @ near
         by_blocks, by_correlation = (bread @ (s + prior) @ bread for s in (squares * blocks, together))
         return (by_blocks, by_correlation), blocks, parts
 

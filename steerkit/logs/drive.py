@@ -582,9 +582,3 @@ def _line(x: Array, y: Array) -> tuple[float, float]:
     x, y = x - x.mean(), y - y.mean()
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
     return (xy / xx, xy / float(np.sqrt(xx * yy))) if min(xx, yy) > 0.0 else (0.0, 0.0)
-
-
-def moments(values: Any) -> tuple[float, float]:
-    """(root mean square, mean)."""
-    array = np.asarray(values, dtype=float)
-    return float(np.sqrt(np.mean(array * array))), float(np.mean(array))

@@ -17,6 +17,7 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import degrees_of
 from steerkit.logs import Drive
+from steerkit.metrics import largest, rms
 from steerkit.paths.path import Path
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import RecordedSpeed
@@ -56,61 +57,53 @@ class Resimulated:
     compared: NDArray[np.bool_]
     """Recorded, and 3 m/s or faster."""
     log: Log
-    """The simulation's signals."""
+    """The simulation's signals; `path.e` is how far the car is beside the way that was driven."""
     path: Path
     """The way that was driven."""
-
-    t: Array
-    """From the beginning [s]."""
-    again: Array
-    """Steering-wheel angle of the controller [rad]."""
-    e: Array
-    """How far the simulated car is beside the way that was driven [m]."""
-    a_y: Array
-    """Its lateral acceleration [m/s^2]."""
 
     @property
     def differs(self) -> Array:
         """By how much the controller steers further to the left [rad]; NaN where it is not compared."""
-        return np.where(self.compared, self.again - self.driven, np.nan)
+        return np.where(self.compared, self.log["actuator.delta_sw"] - self.driven, np.nan)
 
     def places(self, count: int = 5) -> list[dict[str, float]]:
         """Where the two differ most: time, speed, both angles [deg], their difference; the largest first."""
-        left = np.abs(self.differs)
+        left, t = np.abs(self.differs), self.log.t
         found = list[dict[str, float]]()
         while len(found) < count and np.isfinite(left).any():
             k = int(np.nanargmax(left))
             found.append(
                 {
-                    "t": float(self.t[k]),
+                    "t": float(t[k]),
                     "v": float(self.v[k]),
                     "driven_deg": degrees_of(float(self.driven[k])),
-                    "again_deg": degrees_of(float(self.again[k])),
+                    "again_deg": degrees_of(float(self.log["actuator.delta_sw"][k])),
                     "differs_deg": degrees_of(float(self.differs[k])),
-                    "e": float(self.e[k]),
+                    "e": float(self.log["path.e"][k]),
                 }
             )
-            left[np.abs(self.t - self.t[k]) < _APART] = np.nan
+            left[np.abs(t - t[k]) < _APART] = np.nan
         return found
 
     def figures(self) -> dict[str, Any]:
         """What a table shows: wheel speed, a_y and jerk of both, how long beyond their limits; and the difference."""
-        use = self.compared
-        differs = self.differs[use]
-        dt = float(self.t[1] - self.t[0])
+        use, log = self.compared, self.log
+        differs, e = self.differs[use], log["path.e"][use]
+        dt = float(log.t[1] - log.t[0])
         answer: dict[str, Any] = {
             "drive": self.name,
             "controller": self.controller,
-            "seconds": len(self.t) * dt,
+            "seconds": len(log.t) * dt,
             "compared_seconds": float(use.sum()) * dt,
-            "rms_differs_deg": degrees_of(float(np.sqrt(np.mean(differs**2)))),
-            "max_differs_deg": degrees_of(float(np.abs(differs).max())),
+            "rms_differs_deg": degrees_of(rms(differs)),
+            "max_differs_deg": degrees_of(largest(differs)),
             "mean_differs_deg": degrees_of(float(differs.mean())),
-            "rms_e": float(np.sqrt(np.mean(self.e[use] ** 2))),
-            "max_e": float(np.abs(self.e[use]).max()),
+            "rms_e": rms(e),
+            "max_e": largest(e),
             "places": self.places(),
         }
-        for who, wheel, a_y in (("driven", self.driven, self.a_y_driven), ("again", self.again, self.a_y)):
+        again = (log["actuator.delta_sw"], log["car.a_y"])
+        for who, (wheel, a_y) in {"driven": (self.driven, self.a_y_driven), "again": again}.items():
             answer[who] = _within(wheel, a_y, use, dt, float(self.vehicle.delta_sw_max))
         return answer
 
@@ -134,10 +127,10 @@ def _within(wheel: Array, a_y: Array, use: NDArray[np.bool_], dt: float, stop: f
     mean = np.convolve(a_y, np.ones(half) / half, mode="same")  # ISO 11270: over 0.5 s
     jerk = np.gradient(mean, dt)
     return {
-        "rms_wheel_speed_deg_s": degrees_of(float(np.sqrt(np.mean(np.gradient(wheel, dt)[use] ** 2)))),
-        "max_wheel_deg": degrees_of(float(np.abs(wheel[use]).max())),
-        "max_a_y": float(np.abs(a_y[use]).max()),
-        "max_jerk": float(np.abs(jerk[use]).max()),
+        "rms_wheel_speed_deg_s": degrees_of(rms(np.gradient(wheel, dt)[use])),
+        "max_wheel_deg": degrees_of(largest(wheel[use])),
+        "max_a_y": largest(a_y[use]),
+        "max_jerk": largest(jerk[use]),
         "seconds_beyond_a_y": float((np.abs(a_y[use]) > A_Y_MAX).sum()) * dt,
         "seconds_beyond_jerk": float((np.abs(jerk[use]) > JERK_MAX).sum()) * dt,
         "seconds_at_stop": float((np.abs(wheel[use]) > 0.99 * stop).sum()) * dt,
@@ -196,10 +189,6 @@ def resimulate(
         compared=measured & (v >= _SLOW) & (t >= 2.0),
         log=log,
         path=path,
-        t=t,
-        again=log["actuator.delta_sw"],
-        e=log["path.e"],
-        a_y=log["car.a_y"],
     )
 
 
@@ -244,18 +233,18 @@ def _run(loop: Loop, seconds: float, progress: bool) -> Log:
 
 def compared(*driven: Resimulated) -> Any:
     """The angles over time, their differences with the places where they are largest, and a_y within its limit."""
-    first, t = driven[0], driven[0].t
+    first, t = driven[0], driven[0].log.t
     names = ", ".join(again.controller for again in driven)
     with style():
         figure, (wheel, differs, a_y) = new_figure(3, title=f"{first.name}: {names} on the same way")
         wheel.plot(t, degrees_of(first.driven), color=COLOURS["muted"], lw=2.0, alpha=0.7, label="as driven")
         a_y.plot(t, np.asarray(first.a_y_driven), color=COLOURS["muted"], lw=0.8)
         for again, colour in zip(driven, cycle((COLOURS["analytic"], COLOURS["learned"], *PALETTE[2:]))):
-            wheel.plot(t, degrees_of(again.again), color=colour, lw=0.8, label=again.controller)
+            wheel.plot(t, degrees_of(again.log["actuator.delta_sw"]), color=colour, lw=0.8, label=again.controller)
             differs.plot(t, degrees_of(again.differs), color=colour, lw=0.8)
             for place in again.places():
                 differs.plot(place["t"], place["differs_deg"], "o", color=colour, ms=4)
-            a_y.plot(t, np.asarray(again.a_y), color=colour, lw=0.8)
+            a_y.plot(t, again.log["car.a_y"], color=colour, lw=0.8)
         wheel.set_ylabel("wheel [deg]")
         wheel.legend(loc="upper right")
         differs.set_ylabel("differs by [deg], + = left")
@@ -271,5 +260,5 @@ def film(again: Resimulated, file: str | FilePath, *, lasts: float = 10.0, progr
 
     lasts [s]: the film, or less where the drive took less.
     """
-    speed = max(1.0, float(again.t[-1]) / lasts)
+    speed = max(1.0, float(again.log.t[-1]) / lasts)
     return again.log.animate(again.path, file, vehicle=again.vehicle, speed=speed, fps=8.0, progress=progress)

@@ -15,10 +15,10 @@ from .signals import largest as largest
 from .signals import lateral_jerk as lateral_jerk
 from .signals import magnitude_at as magnitude_at
 from .signals import rates as rates
+from .signals import reversal_rate as reversal_rate
 from .signals import rms as rms
 from .signals import share_within as share_within
 from .signals import time_over as time_over
-from .steering import reversal_rate as reversal_rate
 from .table import TABLE as TABLE
 from .table import Metric as Metric
 from .table import measures as measures

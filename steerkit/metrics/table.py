@@ -13,8 +13,7 @@ from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
 from steerkit.metrics.comfort import r79_acceleration, r79_jerk, weighted_acceleration
 from steerkit.metrics.drive import same_shapes, summary
-from steerkit.metrics.signals import accelerations, largest, magnitude_at, rms, share_within, time_over
-from steerkit.metrics.steering import reversal_rate
+from steerkit.metrics.signals import accelerations, largest, magnitude_at, reversal_rate, rms, share_within, time_over
 
 
 @dataclass(frozen=True, kw_only=True)

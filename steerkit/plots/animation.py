@@ -235,17 +235,9 @@ class CarShape:
 
 def _box(middle: float, half: float, side: float, nose: float = 0.0) -> np.ndarray:
     """Corners of a box along x, its front corners cut by `nose`."""
-    front, back = middle + half, middle - half
-    return np.array(
-        [
-            (back, -side),
-            (front - nose, -side),
-            (front, -side + 0.6 * nose),
-            (front, side - 0.6 * nose),
-            (front - nose, side),
-            (back, side),
-        ]
-    )
+    front, back, cut = middle + half, middle - half, side - 0.6 * nose
+    left = np.array([(front, cut), (front - nose, side), (back, side)])
+    return np.vstack((left[::-1] * (1.0, -1.0), left))
 
 
 def _moved(points: np.ndarray, angle: float, x: float, y: float) -> np.ndarray:

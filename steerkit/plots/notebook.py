@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import dataclasses
 import io
+import reprlib
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit.diagram.block import brief
 from steerkit.plots.style import save
 
 if TYPE_CHECKING:
@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 
 _SHOWN = ("e", "delta_sw", "v", "a_y", "psi_e", "r")  # outputs worth a panel, best first
 _PANELS = 4
+_SHORT = reprlib.Repr()
+_SHORT.maxtuple, _SHORT.maxstring, _SHORT.maxother = 8, 90, 90
 
 
 def block_html(block: Block) -> str:
     """Parameters and ports of a block, each with its unit or value."""
     summary = (type(block).__doc__ or "").strip().split("\n")[0]
-    parameters = [(f.name, brief(getattr(block, f.name))) for f in dataclasses.fields(block)]
+    parameters = [(f.name, _SHORT.repr(getattr(block, f.name))) for f in dataclasses.fields(block)]
     ports = [
         (port.name, "in", port.unit, "seen by output and update" if port.direct else "seen by update only")
         for port in block.inputs

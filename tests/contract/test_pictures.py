@@ -64,10 +64,11 @@ PREDICTED = Prediction(drive=DRIVE, r=0.3 * np.sin(T + 0.1), **dict(zip(ERRORS, 
 FITTED: dict[str, Any] = {"vehicle": PASSAT, "base": PASSAT, "drive": DRIVE, "estimates": (), "theta": {}, "free": ()}
 FOUND = Identified(**FITTED, fit=replace(PREDICTED, r=1.1 * DRIVE.r), covariance=np.eye(1), correlation_time=1.0)
 DRIVEN = replace(DRIVE, x=np.where(T > 8.0, T, np.nan), y=0.1 * T**2, measured=abs(T - 9.0) > 2.0)
+STEERED = {"actuator.delta_sw": np.sin(T), "path.e": 0.1 * T, "car.a_y": 2.0 * np.cos(T)}
 AGAIN = Resimulated(
     **dict.fromkeys(("name", "controller"), "a"),
-    **dict(vehicle=PASSAT, v=DRIVE.v, path=PATH, log=LOG, compared=T > 5.0, t=T, again=np.sin(T), e=0.1 * T),
-    **dict(driven=0.3 * np.sin(T + 0.1), a_y=2.0 * np.cos(T), a_y_driven=3.0 * np.sin(T)),
+    **dict(vehicle=PASSAT, v=DRIVE.v, path=PATH, log=Log(T, STEERED, {}), compared=T > 5.0),
+    **dict(driven=0.3 * np.sin(T + 0.1), a_y_driven=3.0 * np.sin(T)),
 )
 RECORD = run.Record(name="run", episodes=EPISODES, log=LOG, **PARTS)
 

@@ -61,7 +61,7 @@ def test_a_module_is_imported() -> None:
         ("", "yours.py:make", r"yours.py cannot be read \(No such file or directory\), looked for in /"),
         ("", "mine.py:", "expected FILE.py:NAME or PACKAGE.MODULE:NAME"),
         ("", ":make", "expected FILE.py:NAME or PACKAGE.MODULE:NAME"),
-        ("", "no.such.module:make", "module no.such.module cannot be imported: ModuleNotFoundError"),
+        ("", "no.such.module:make", "no.such.module fails when it is imported: ModuleNotFoundError"),
     ],
 )
 def test_mistakes_are_one_line(

@@ -26,7 +26,9 @@ def test_a_block_shows_its_parameters_and_ports() -> None:
 
 def test_long_and_odd_parameters_are_cut_and_escaped() -> None:
     driver = RecordedSpeed(speeds=tuple(np.linspace(1.0, 2.0, 500).tolist()), spacing=0.1)
-    assert "500 in all" in driver._repr_html_()
+    assert "1.0140280561122244, ...)" in driver._repr_html_()
+    html = LinearSingleTrack(vehicle=PASSAT)._repr_html_()
+    assert "..." in html  # the vehicle
     named = LinearSingleTrack(vehicle=type(PASSAT)(**{**vars(PASSAT), "name": "<script>"}))._repr_html_()
     assert "<script>" not in named
 
