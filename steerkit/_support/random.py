@@ -29,14 +29,9 @@ _M1, _M2 = 4294967087.0, 4294944443.0
 _NORM = 2.328306549295727688e-10  # 1 / (m1 + 1), as published
 
 
-class OpenSeed:
-    """A seed that is chosen later: stands in a block's `seed` while its start is traced on symbols.
-
-    states(stream): the six symbols that stand for the state of that stream.
-    """
-
-    def __init__(self, states: Callable[[int], RandomState]):
-        self.states = states
+OpenSeed = Callable[[int], RandomState]
+"""A seed that is chosen later: stands in a block's `seed` while its start is traced on symbols, and gives the six that
+stand for the state of a stream."""
 
 
 def seed_state(seed: int | OpenSeed, batch: tuple[int, ...] = (), *, stream: int = 0) -> RandomState:
@@ -47,8 +42,8 @@ def seed_state(seed: int | OpenSeed, batch: tuple[int, ...] = (), *, stream: int
     floats, or `(N,)` arrays for `batch=(N,)`. The numbers are six outputs of SplitMix64 (Steele, Lea, Flood 2014).
     Raises ValueError for a seed or stream that is no such number.
     """
-    if isinstance(seed, OpenSeed):
-        return seed.states(stream)
+    if callable(seed):
+        return seed(stream)
     for name, value in (("seed", seed), ("stream", stream)):
         whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
         require(whole and 0 <= value < 2**63, "seed_state", f"{name} = {value!r}, expected a whole number >= 0")

@@ -119,7 +119,7 @@ class Loop:
     @property
     def order(self) -> tuple[str, ...]:
         """The blocks in the order in which all of their direct inputs are known within a tick."""
-        return tuple(self.names[call.block] for call in self._wiring.calls if call.final)
+        return tuple(self.names[call.block] for call in self._wiring.calls if not call.early)
 
     def sample(self, state: LoopState) -> Sample:
         """The outputs that a state holds: those of the tick before it, or of the first one in a state of `init`."""
@@ -301,10 +301,10 @@ class Loop:
         for call in self._wiring.calls:
             i, block, name = call.block, self._wiring.blocks[call.block], self.names[call.block]
             u = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
-            if call.final:
+            if not call.early:
                 x[i] = block.settle(0.0, x[i], u)
                 check_state(name, block, x[i], "settle", shape, like=start[i])
-            y[i] = block.output(0.0, x[i] if call.final else before[i], u)
+            y[i] = block.output(0.0, before[i] if call.early else x[i], u)
             check_outputs(name, block, y[i], shape)
             self._check_independence(call, y[i], u)
             early |= {(i, j): y[i][j] for j in call.early}

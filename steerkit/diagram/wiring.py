@@ -22,10 +22,8 @@ class Call:
 
     block: int
     sources: tuple[Place | None, ...]
-    final: bool
-    """With all its direct inputs known? Else only the outputs `early` are meant."""
     early: tuple[int, ...] = ()
-    """The numbers of the outputs that can be had without the unknown inputs."""
+    """The numbers of the outputs that are meant, which can be had without the unknown inputs; none: all are known."""
 
 
 class Wiring:
@@ -119,12 +117,12 @@ class Wiring:
             i = next((i for i in waiting if all(s in known for s in sources(i))), None)
             if i is not None:
                 waiting.remove(i)
-                calls.append(Call(i, tuple(sources(i)), final=True))
+                calls.append(Call(i, tuple(sources(i))))
                 known.update((i, j) for j in range(len(self.blocks[i].outputs)))
             else:
                 i = next(i for i in waiting if early(i))
                 had = tuple(s if s in known else None for s in sources(i))
-                calls.append(Call(i, had, final=False, early=tuple(early(i))))
+                calls.append(Call(i, had, tuple(early(i))))
                 known.update((i, j) for j in calls[-1].early)
         return tuple(calls)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from steerkit._support import native
 from steerkit._support.errors import require
-from steerkit._support.random import OpenSeed, RandomState
+from steerkit._support.random import RandomState
 from steerkit.compiled.c_code import function_source, head_source
 from steerkit.compiled.trace import Tick, Trace, trace, traced
 from steerkit.controllers.network_policy import BOUND
@@ -253,7 +253,7 @@ def _begin(task: Task, graphs: Trace, slots: Sequence[int], tables: list[Table])
                 streams[stream] = tuple([symbol() for _ in range(6)])
             return streams[stream]
 
-        drawn = [reseeded(block, OpenSeed(states)).init() for block in task.loop.blocks.values()]
+        drawn = [reseeded(block, states).init() for block in task.loop.blocks.values()]
         first = task.starts.state(s, e, psi_e, drawn)
         values = graphs.layout.pack(first.x, first.y)
         return [values[slot] for slot in slots]

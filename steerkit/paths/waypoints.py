@@ -35,11 +35,8 @@ def read_columns(text: str, where: str, left_out: dict[int, str] | None = None) 
     left_out: is given the numbers of the lines that hold no point, and what they hold. Raises ValueError for an empty
     file; for a ragged row or a cell that is no number, with its line, without `left_out` or in more rows than a tenth.
     """
-    if text.lstrip().startswith("<"):
-        raise ValueError(
-            f"{where}: is XML (GPX?), expected CSV; write its positions under a header 'lat,lon', one a line, as "
-            "lat and lon of every <trkpt> stand in a GPX file"
-        )
+    what = "is XML, expected CSV; a file that holds GPX has to end in .gpx, and so on"
+    require(not text.lstrip().startswith("<"), where, what)
     table = text_table(_lines(text), where)
     columns = _named(table.names, where)
     places = next((two for two in (("x", "y"), ("lat", "lon")) if {*two} <= {one for one, _ in columns}), ())
