@@ -29,25 +29,18 @@ MANY, _RUN = (Path(__file__).with_name(name).read_text(encoding="utf-8") for nam
 ONE = f"#define ONE_CAR\n{_SCALAR}{MANY}"
 
 _CYCLES = {
-    "const": (0, 0.0),
-    "in": (0, 0.0),
+    **dict.fromkeys(("const", "in", "result"), (0, 0.0)),
+    **dict.fromkeys(("select", *BOOLEAN), (2, 0.3)),
     "row": (6, 0.3),
     "div": (13, 1.0),
     "sqrt": (20, 1.0),
     "floor": (8, 0.5),
-    "sin": (45, 4.0),
-    "cos": (45, 4.0),
+    **dict.fromkeys(("sin", "cos"), (45, 4.0)),
     "tan": (60, 9.0),
-    "atan": (60, 8.0),
-    "atan2": (60, 8.0),
-    "exp": (60, 12.0),
-    "log": (60, 12.0),
-    "tanh": (80, 15.0),
-    "asin": (80, 15.0),
-    "acos": (80, 15.0),
+    **dict.fromkeys(("atan", "atan2"), (60, 8.0)),
+    **dict.fromkeys(("exp", "log"), (60, 12.0)),
+    **dict.fromkeys(("tanh", "asin", "acos"), (80, 15.0)),
     "call": (30000, 30000.0),
-    "result": (0, 0.0),
-    "select": (2, 0.3),
 }
 _SIMPLE = 4, 0.3
 """Cycles until the result is there, and cycles of a processor's issue; roughly those of machines of the 2020s."""
@@ -67,7 +60,7 @@ def scheduled(graph: Graph, roots: Sequence[int]) -> list[int]:
     for i, operands in needs.items():
         for j in operands:
             users[j].append(i)
-    cost = {i: _cost(graph, i) for i in order}
+    cost = {i: _CYCLES.get(graph.nodes[i][0], _SIMPLE) for i in order}
     way: dict[int, float] = {}
     for i in reversed(order):
         way[i] = cost[i][0] + max([way[j] for j in users[i]], default=0.0)
@@ -94,11 +87,6 @@ def scheduled(graph: Graph, roots: Sequence[int]) -> list[int]:
                 heapq.heappush(later, (there[j], j))
         now += issue
     return done
-
-
-def _cost(graph: Graph, i: int) -> tuple[float, float]:
-    op = graph.nodes[i][0]
-    return (2, 0.3) if op in BOOLEAN else _CYCLES.get(op, _SIMPLE)
 
 
 def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:

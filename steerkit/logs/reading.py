@@ -143,8 +143,7 @@ def agreement(t: Array, reference: Array, t_other: Array, other: Array) -> Agree
 def _smooth(values: Array) -> Array:
     """The mean over 0.2 s: two sensors of one motion have other noise and other resolution."""
     width = round(0.2 / FINE)
-    sums = np.cumsum(np.concatenate(([0.0], values)))
-    return (sums[width:] - sums[:-width]) / width
+    return np.convolve(values, np.full(width, 1.0 / width), "valid")
 
 
 _DRIVES = Path(__file__).parent / "drives"
