@@ -9,35 +9,18 @@ of the result is one period. That is exact and no approximation by the slowest b
 
 from __future__ import annotations
 
-from steerkit.analysis.linear import (
-    Margins,
-    NotTimeInvariantError,
-    Point,
-    UnstableError,
-    break_at,
-    linearise,
-    margins,
-    over,
-    step_response,
-)
-from steerkit.analysis.period import Tap
-from steerkit.analysis.pictures import plot_bode, plot_over, plot_steps
-from steerkit.analysis.systems import FromControl, to_control
-
-__all__ = [
-    "FromControl",
-    "Margins",
-    "NotTimeInvariantError",
-    "Point",
-    "Tap",
-    "UnstableError",
-    "break_at",
-    "linearise",
-    "margins",
-    "over",
-    "plot_bode",
-    "plot_over",
-    "plot_steps",
-    "step_response",
-    "to_control",
-]
+from steerkit.analysis.linear import Margins as Margins
+from steerkit.analysis.linear import NotTimeInvariantError as NotTimeInvariantError
+from steerkit.analysis.linear import Point as Point
+from steerkit.analysis.linear import UnstableError as UnstableError
+from steerkit.analysis.linear import break_at as break_at
+from steerkit.analysis.linear import linearise as linearise
+from steerkit.analysis.linear import margins as margins
+from steerkit.analysis.linear import over as over
+from steerkit.analysis.linear import step_response as step_response
+from steerkit.analysis.period import Tap as Tap
+from steerkit.analysis.pictures import plot_bode as plot_bode
+from steerkit.analysis.pictures import plot_over as plot_over
+from steerkit.analysis.pictures import plot_steps as plot_steps
+from steerkit.analysis.systems import FromControl as FromControl
+from steerkit.analysis.systems import to_control as to_control

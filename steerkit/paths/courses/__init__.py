@@ -20,33 +20,17 @@ from steerkit._support import native
 from steerkit._support.errors import known
 from steerkit._support.files import read_npz, write_npz
 from steerkit.diagram.maths import Table
-from steerkit.paths.courses.shapes import (
-    bends,
-    circle,
-    curvature_step,
-    figure_eight,
-    lane_change,
-    paper,
-    random_course,
-    slalom,
-    straight,
-)
+from steerkit.paths.courses.shapes import bends as bends
+from steerkit.paths.courses.shapes import circle as circle
+from steerkit.paths.courses.shapes import curvature_step as curvature_step
+from steerkit.paths.courses.shapes import figure_eight as figure_eight
+from steerkit.paths.courses.shapes import lane_change as lane_change
+from steerkit.paths.courses.shapes import paper
+from steerkit.paths.courses.shapes import random_course as random_course
+from steerkit.paths.courses.shapes import slalom as slalom
+from steerkit.paths.courses.shapes import straight as straight
 from steerkit.paths.path import Array, Path
 from steerkit.paths.waypoints import read_columns
-
-__all__ = [
-    "bends",
-    "circle",
-    "course",
-    "curvature_step",
-    "figure_eight",
-    "lane_change",
-    "names",
-    "random_course",
-    "recorded_speed",
-    "slalom",
-    "straight",
-]
 
 
 def names() -> tuple[str, ...]:
