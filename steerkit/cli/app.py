@@ -23,7 +23,7 @@ COMMANDS = {
     "show": ("steerkit.cli.learn", "Show a learning run: counts, episodes, learned against Stanley, and its pictures."),
     "demo": ("steerkit.cli.demo", "Learn on the 800 m course and on a real recorded lap; compare with Stanley."),
     "log": ("steerkit.cli.log", "Show what is in a log: its channels, what each is read as, and the drive they make."),
-    "plot": ("steerkit.cli.log", "Plot signals of a log over time; --table writes it for other programs."),
+    "plot": ("steerkit.cli.log", "Plot signals of a log over time."),
     "identify": ("steerkit.cli.identify", "Estimate a car's steering and cornering stiffness from a recorded drive."),
     "resimulate": ("steerkit.cli.resimulate", "Drive a recorded drive again in simulation, with another controller."),
     "export": ("steerkit.cli.export", "Export a learning run, a log or a car for other programs."),

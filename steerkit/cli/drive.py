@@ -84,7 +84,6 @@ def drive(
     if not name:
         raise ValueError(f"drive: with which controller? valid: {_VALID}")
     if animate is not None:
-        require(animate.suffix in (".gif", ".mp4"), f"--animate {animate}", "expected a name that ends in .gif or .mp4")
         film_writer(animate)
     folder = out is None or out.is_dir() or not out.exists()
     require(folder, f"--out {out}", "is a file, expected a directory for log and picture")

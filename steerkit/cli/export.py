@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.cli.log import record_of
+from steerkit.cli.options import written
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log
@@ -23,6 +23,8 @@ from steerkit.logs.foxglove import to_mcap
 from steerkit.logs.tables import write_mf4
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.file import tables_of, text_of
+
+LAYOUTS = {".json": "foxglove", ".xml": "plotjuggler"}
 
 
 def export(
@@ -35,11 +37,9 @@ def export(
     mcap: Annotated[
         Path | None, typer.Option(help="A log, or a run's last drive, for Foxglove and PlotJuggler.")
     ] = None,
-    csv: Annotated[Path | None, typer.Option(help="The same as a table, .csv or .parquet.")] = None,
-    mf4: Annotated[Path | None, typer.Option(help="The same as MDF 4, .mf4.")] = None,
-    layout: Annotated[
-        Path | None, typer.Option(help="The layout for --mcap: a .json for Foxglove, an .xml for PlotJuggler.")
-    ] = None,
+    csv: Annotated[Path | None, written("The same as a table", ".csv", ".parquet")] = None,
+    mf4: Annotated[Path | None, written("The same as MDF 4", ".mf4")] = None,
+    layout: Annotated[Path | None, written("The layout for it of Foxglove, or of PlotJuggler", *LAYOUTS)] = None,
     commonroad: Annotated[Path | None, typer.Option(help="A car as a CommonRoad parameter set, .yaml.")] = None,
     opendbc: Annotated[Path | None, typer.Option(help="A car as a row of opendbc, .json.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
@@ -68,10 +68,8 @@ def export(
         done |= _log(record_of(run), mcap, csv, mf4)
         console.print(f"log: {', '.join(map(str, logs))}")
     if layout is not None:
-        kinds = {".json": "foxglove", ".xml": "plotjuggler"}
-        if layout.suffix not in kinds:
-            raise ValueError(f"--layout {layout}: expected .json for Foxglove or .xml for PlotJuggler")
-        console.print(f"layout for {kinds[layout.suffix]}: {write_layout(kinds[layout.suffix], layout)}")
+        program = LAYOUTS[layout.suffix]
+        console.print(f"layout for {program}: {write_layout(program, layout)}")
     if as_json:
         print(json.dumps(done))
 
@@ -84,7 +82,6 @@ def _log(record: Log, mcap: Path | None, csv: Path | None, mf4: Path | None) -> 
         record.save(csv)
         done["csv"] = str(csv)
     if mf4 is not None:
-        require(mf4.suffix == ".mf4", f"--mf4 {mf4}", "expected a name that ends in .mf4")
         write_mf4(record, mf4)
         done["mf4"] = str(mf4)
     return done

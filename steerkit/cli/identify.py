@@ -16,7 +16,8 @@ from rich.table import Table
 
 from steerkit import identification as ident
 from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
-from steerkit.cli.page import check_page, write_page
+from steerkit.cli.options import Picture, Report, written
+from steerkit.cli.page import write_page
 from steerkit.identification.ahead import HORIZONS, QUANTITIES, look_ahead
 from steerkit.plots.style import save
 from steerkit.vehicles import scaled, vehicle
@@ -37,9 +38,9 @@ def identify(
     mass: Annotated[float | None, typer.Option(help="Mass, in kg, if not the base's.")] = None,
     fix: Annotated[list[str] | None, typer.Option(help="NAME=VALUE: hold a parameter; repeatable.")] = None,
     name: Annotated[str, typer.Option(help="Name of the car in the file.")] = "",
-    out: Annotated[Path | None, typer.Option(help="Vehicle file to write (.toml); else it is printed.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg).")] = None,
-    report: Annotated[Path | None, typer.Option(help="All of it as one page to hand on (.html).")] = None,
+    out: Annotated[Path | None, written("Vehicle file to write, else it is printed", ".toml")] = None,
+    plot: Picture = None,
+    report: Report = None,
     dt: Annotated[
         float | None, typer.Option(help="Step of the common clock in s; default: the log's, 0.01 to 0.05.")
     ] = None,
@@ -59,9 +60,6 @@ def identify(
 
     The vehicle file serves wherever a car's name does: `vehicle("my-car.toml")`, `--base`, a scenario.
     """
-    if out is not None and out.suffix != ".toml":
-        raise ValueError(f"--out {out}: a vehicle file ends in .toml")
-    check_page(report)
     to_pipe = not as_json and out is None  # then the vehicle file alone goes to standard output
     console = Console(stderr=to_pipe, record=True)
     console = console if console.is_terminal else Console(stderr=to_pipe, record=True, width=110)

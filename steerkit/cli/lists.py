@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from steerkit.cli.options import Machine
+from steerkit.cli.options import Machine, Picture, written
 from steerkit.paths import importers
 from steerkit.paths.courses import course, names
 from steerkit.paths.path import Path as CoursePath
@@ -39,8 +39,8 @@ def courses(
     file: Annotated[
         str, typer.Argument(metavar="[FILE[#KEY=VALUE,...]]", show_default=False, help="A map or a track.")
     ] = "",
-    to: Annotated[Path | None, typer.Option(help="Course to write (.csv), of what is chosen.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg), of what is chosen.")] = None,
+    to: Annotated[Path | None, written("Course to write, of what is chosen", ".csv")] = None,
+    plot: Picture = None,
     vehicle: Annotated[str, typer.Option(help="Car whose wheel has to do the bends: name or file.")] = "vw-passat",
     as_json: Machine = False,
 ) -> None:
@@ -78,8 +78,6 @@ def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_jso
         return
     made = importers.read_course(file, tightest=float(vehicle_named(vehicle).tightest))
     if to is not None:
-        if to.suffix != ".csv":
-            raise ValueError(f"--to {to}: a course's file ends in .csv")
         made.to_csv(str(to))
     if plot is not None:
         save(plot_course(made.path), plot)
@@ -93,9 +91,9 @@ def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_jso
     print(f"tightest radius {radius:.1f} m" if radius else "straight", *speeds, sep=", ")
     for note in made.notes:
         print(f"  {note}")
-    for written in (to, plot):
-        if written is not None:
-            print(f"wrote {written}")
+    for place in (to, plot):
+        if place is not None:
+            print(f"wrote {place}")
 
 
 _SPEEDS = {"v": "as driven", "v_limit": "allowed"}

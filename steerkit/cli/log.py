@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Column, Table
 
 from steerkit._support.errors import require
-from steerkit.cli.options import Machine, Quiet
+from steerkit.cli.options import Machine, Picture, Quiet, written
 from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
 from steerkit.logs import ColumnMap, read_drive
@@ -31,7 +31,6 @@ Columns = Annotated[list[str] | None, typer.Option("--column", help="QUANTITY=CO
 SteerRatio = Annotated[
     float | None, typer.Option(help="The car's steering ratio, for logs of the road wheels' angle; default: 15.")
 ]
-_PICTURES = (".png", ".pdf", ".svg")
 
 
 def log(
@@ -40,8 +39,8 @@ def log(
     column: Columns = None,
     dbc: Dbc = None,
     steer_ratio: SteerRatio = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg).")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Write the drive as a table too: t, delta_sw, v, r, ...")] = None,
+    plot: Picture = None,
+    csv: Annotated[Path | None, written("Write the drive as a table too: t, delta_sw, v, r, ...", ".csv")] = None,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -50,8 +49,6 @@ def log(
     Reads CSV, MATLAB, npz, Parquet, MCAP (a car server's, or ROS 2), ROS bags (.db3, .bag, a folder), MF4, and CAN logs
     (candump .log, .asc, .blf) with --dbc.
     """
-    require(plot is None or plot.suffix in _PICTURES, f"--plot {plot}", "a picture ends in .png, .pdf or .svg")
-    require(csv is None or csv.suffix == ".csv", f"--csv {csv}", "a table ends in .csv")
     given = column_map(columns, column)
     console = Console(stderr=as_json, quiet=quiet and not as_json)
     console = console if console.is_terminal else Console(stderr=as_json, width=130, quiet=quiet)
@@ -115,21 +112,15 @@ def plot(
     signals: Annotated[
         list[str] | None, typer.Argument(help="Signals, such as path.e car.v; default: the most informative.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Picture: .png, .svg or .pdf; default: beside the log.")] = None,
-    table: Annotated[Path | None, typer.Option(help="Write all signals as a table too: .csv or .parquet.")] = None,
+    out: Annotated[Path | None, written("Picture to write; default: beside the log", ".png", ".pdf", ".svg")] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Plot signals of a log over time; --table writes it for other programs."""
+    """Plot signals of a log over time."""
     drawn = out or (log / "signals.png" if log.is_dir() else log.with_name(f"{log.stem}-signals.png"))
-    require(drawn.suffix in _PICTURES, f"--out {drawn}", f"expected a name that ends in {', '.join(_PICTURES)}")
-    tables = table is None or table.suffix in (".csv", ".parquet")
-    require(tables, f"--table {table}", "expected a name that ends in .csv or .parquet")
     record = record_of(log)
     save(record.plot(*(signals or telling(record))), drawn)
-    if table is not None:
-        record.save(table)
     if not quiet:
-        print(f"{record!r}\npicture: {drawn}{f', table: {table}' if table else ''}")
+        print(f"{record!r}\npicture: {drawn}")
 
 
 def record_of(place: Path) -> Log:

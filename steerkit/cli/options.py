@@ -7,7 +7,6 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -15,19 +14,10 @@ from typing import Annotated, Any
 import typer
 
 from steerkit._support.console import console
-from steerkit._support.errors import require
+from steerkit._support.errors import known, require
 from steerkit.scenario import CONDITIONS, Scenario
 from steerkit.scenario.parts import Driver, speed_file
 from steerkit.scenario.scenario import read_scenario
-
-
-class Conditions(StrEnum):
-    """Named disturbances."""
-
-    clean = "clean"
-    hard = "hard"
-    real = "real"
-
 
 SIMULATED, ON_CAR, FROM_LOG = "In simulation", "On a car", "From a log (with --from)"
 Seed = Annotated[int, typer.Option(help="Seed of driver and sensors, and of a learner's nets.")]
@@ -52,6 +42,22 @@ def _only(panel: str) -> Callable[..., Any]:
 in_simulation, on_car, from_a_log = map(_only, (SIMULATED, ON_CAR, FROM_LOG))
 
 
+def written(text: str, *endings: str) -> Any:
+    """An option with the name of a file to write; one that ends otherwise is refused before anything is done."""
+    valid = ", ".join(endings)
+
+    def check(option: typer.CallbackParam, file: Path | None) -> Path | None:
+        ok = file is None or file.suffix in endings
+        require(ok, f"{option.opts[0]} {file}", f"expected a name that ends in {valid}")
+        return file
+
+    return typer.Option(help=f"{text} ({valid}).", callback=check)
+
+
+Picture = Annotated[Path | None, written("Picture to write", ".png", ".pdf", ".svg")]
+Report = Annotated[Path | None, written("All of it as one page to hand on", ".html")]
+
+
 @dataclass(frozen=True)
 class SceneOptions:
     """The options of every command in which a simulated car drives: which car, where, what disturbs it, what is
@@ -73,11 +79,11 @@ class SceneOptions:
         ),
     ] = "vw-passat"
     conditions: Annotated[
-        Conditions,
+        str,
         in_simulation(
-            "hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag; real: and noisy v, no sideslip, lost samples."
+            "clean; hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag; real: and noisy v, no sideslip, lost samples."
         ),
-    ] = Conditions.clean
+    ] = "clean"
     estimator: Annotated[
         str,
         in_simulation(
@@ -200,9 +206,11 @@ def scenario_of(ctx: typer.Context, base: Scenario | None = None) -> Scenario:
     if names & {"speed", "v_max"}:
         changes["driver"] = _speeds(options["speed"], options["v_max"] if "v_max" in names else None, base)
     if base is None:
-        return Scenario.under(options["conditions"].value, **changes)
+        return Scenario.under(options["conditions"], **changes)
     if "conditions" in names:
-        base = base.with_(sensors=_UNDISTURBED).with_(**CONDITIONS[options["conditions"].value])
+        base = base.with_(sensors=_UNDISTURBED).with_(
+            **CONDITIONS[known(options["conditions"], CONDITIONS, "conditions")]
+        )
     if "vehicle" in names:  # its file's [steering] comes with it
         base = base.with_(vehicle=changes["vehicle"])
         base = base.with_(steering=base.vehicle.steering_in_file())
@@ -229,9 +237,9 @@ def _speeds(speed: str, v_max: float | None, base: Scenario | None) -> dict[str,
     return {"speed": "wander", "v_min": steady, "v_max": steady}
 
 
-def driven_on(scenario: Scenario, conditions: Conditions) -> str:
+def driven_on(scenario: Scenario, conditions: str) -> str:
     """Course and conditions as a part of a directory's name."""
-    return f"{scenario.course.name.removesuffix('.csv')}-{conditions.value}"
+    return f"{scenario.course.name.removesuffix('.csv')}-{conditions}"
 
 
 @contextlib.contextmanager

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from steerkit import __version__
-from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.plots.notebook import png
 
@@ -27,11 +26,6 @@ img {{ max-width: 100% }} pre {{ overflow-x: auto; line-height: 1.15 }}</style><
 <p><code>{command}</code>, steerkit {version}, {date}. Simulated or computed from the recording; no car was driven.</p>
 </body></html>
 """
-
-
-def check_page(file: Path | None) -> None:
-    """Raise ValueError for a report's name with another ending than .html: before what takes long."""
-    require(file is None or file.suffix == ".html", f"--report {file}", "a report ends in .html")
 
 
 def write_page(file: Path, console: Any, title: str, verdict: Iterable[str], figures: Iterable[Any]) -> None:

@@ -12,8 +12,8 @@ from rich.table import Table
 
 from steerkit._support.errors import require
 from steerkit.cli.log import Columns, Map, column_map
-from steerkit.cli.options import Machine, Quiet
-from steerkit.cli.page import check_page, write_page
+from steerkit.cli.options import Machine, Picture, Quiet, Report
+from steerkit.cli.page import write_page
 from steerkit.identification import identify
 from steerkit.logs import read_drive
 from steerkit.logs import resimulate as again
@@ -39,8 +39,8 @@ def resimulate(
     vehicle: Annotated[str, typer.Option(help="Vehicle file of the car; default: identified from the drive.")] = "",
     columns: Map = None,
     column: Columns = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture to write (.png, .pdf, .svg).")] = None,
-    report: Annotated[Path | None, typer.Option(help="All of it as one page to hand on (.html).")] = None,
+    plot: Picture = None,
+    report: Report = None,
     film: Annotated[
         Path | None, typer.Option(help="Film to write, of one controller: .gif, or .mp4 with ffmpeg.")
     ] = None,
@@ -54,7 +54,6 @@ def resimulate(
     identified from the drive. Compared where it was recorded at 3 m/s or faster, over 20 samples a second.
     """
     names = controller or ["mpc"]
-    check_page(report)
     if film is not None:  # before a long drive
         require(len(names) == 1, f"--film {film}", f"shows one controller, not {', '.join(names)}")
         require(1.0 <= film_lasts <= 120.0, "--film-lasts", f"{film_lasts:g} [s], expected 1 to 120")
