@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import socket
@@ -9,7 +10,7 @@ import struct
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from steerkit._support.errors import number
 from steerkit.car import protocol
@@ -25,13 +26,14 @@ class CarLost(ConnectionError):
     """The car server is gone or does not answer: there is no car any more."""
 
 
-class CarClient:
+class CarClient(contextlib.ExitStack):
     """A line to the car server over its Unix socket.
 
     socket_path: as given to the car server. controller: may it ask for angles? Others may look, and give orders.
     course: `protocol.digest` of the course that it drives. name: what panels call it.
     timeout [s]: longest wait for an answer; of a car server that ends, one hears at once, and one that stands still
-    lets go of the wheel by itself. Raises CarLost when no car server answers, now or later.
+    lets go of the wheel by itself. Raises CarLost when no car server answers, now or later. `close` hangs up; the car
+    server disengages if this was its controller.
     """
 
     def __init__(
@@ -43,11 +45,12 @@ class CarClient:
         course: str = protocol.NO_COURSE,
         name: str = "",
     ):
+        super().__init__()
         self.path, self.misses = socket_path, 0
         self.last: Snapshot | None = None
         self.refused: list[str] = []
         """What the car server refused, and why; whoever shows it may clear it."""
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket = self.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
         self._socket.settimeout(timeout)
         try:
             self._socket.connect(socket_path)
@@ -108,16 +111,6 @@ class CarClient:
                 wanted = " or ".join(modes) or "a pose and a report"
                 raise CarLost(f"{self.path}: no {wanted} within {timeout:g} s; {snapshot.mode}: {snapshot.text}")
             time.sleep(wall)
-
-    def close(self) -> None:
-        """Hang up; the car server disengages if this was its controller."""
-        self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _send(self, message: protocol.Message) -> None:
         try:

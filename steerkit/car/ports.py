@@ -65,14 +65,16 @@ def lost(error: Exception) -> Exception:
     return error if isinstance(error, (OSError, ValueError)) else OSError(f"the bus is lost: {error}")
 
 
-class BusPort:
+class BusPort(contextlib.ExitStack):
     """A simulated car's port on a bus that the computer has already: kernel CAN, UDP multicast, ...
 
     arguments: of `can.Bus`. channel: what `--channel` of the car server wants. Raises OSError.
     """
 
     def __init__(self, arguments: dict[str, Any]):
+        super().__init__()
         self._bus = open_bus(arguments)
+        self.callback(self._bus.shutdown)
         self.channel = f"{arguments['interface']}:{arguments['channel']}"
 
     def wait(self, timeout: float) -> list[tuple[int, bytes]]:
@@ -93,22 +95,19 @@ class BusPort:
         with contextlib.suppress(can.CanOperationError):
             self._bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=False))
 
-    def close(self) -> None:
-        """Free the bus."""
-        self._bus.shutdown()
 
-
-class SlcanPort:
+class SlcanPort(contextlib.ExitStack):
     """Serves slcan clients on a pseudo-terminal: text frames `tIIILDD..` and a carriage return (Lawicel CAN232 manual).
 
     `channel` is its name. What a client does not read in time is dropped, as an adapter does.
     """
 
     def __init__(self) -> None:
-        self._text, self._open = b"", contextlib.ExitStack()
+        super().__init__()
+        self._text = b""
         self._line, slave = os.openpty()  # the slave stays open here, so that clients may come and go
-        self._open.callback(os.close, self._line)
-        self._open.callback(os.close, slave)
+        self.callback(os.close, self._line)
+        self.callback(os.close, slave)
         tty.setraw(slave)
         os.set_blocking(self._line, False)
         self.channel = os.ttyname(slave)
@@ -126,10 +125,6 @@ class SlcanPort:
         """A frame to the client, if it has room."""
         with contextlib.suppress(OSError):
             os.write(self._line, b"t%03X%d%s\r" % (frame_id, len(data), data.hex().upper().encode()))
-
-    def close(self) -> None:
-        """Free the port."""
-        self._open.close()
 
 
 def _frame(line: bytes) -> tuple[int, bytes] | None:

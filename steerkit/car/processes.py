@@ -219,7 +219,7 @@ def simulate(
         if buses:
             stack.callback(buses.close)
         stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None
-        stack.callback(port.close)
+        stack.enter_context(port)
         with contextlib.suppress(KeyboardInterrupt):
             serve_simulated(simulated, port, clock, buses=buses, log=stream, faults=sys.stdin, parent=parent)
     return 0

@@ -15,7 +15,7 @@ from steerkit._support.errors import known, require
 from steerkit.compiled.c_code import SCALAR_TYPES, c_number, phase_labels, statements, table_source
 from steerkit.compiled.trace import Trace, TraceError, start_of, trace
 from steerkit.diagram.block import Block, Out, State
-from steerkit.diagram.loop import Loop, LoopState, Wire
+from steerkit.diagram.loop import Loop, Wire
 from steerkit.diagram.maths import filled
 from steerkit.diagram.simulation import simulate
 
@@ -23,14 +23,7 @@ _ROWS = 200  # of the recorded log in the test program
 _TYPICAL = {"rad": 0.5, "rad/s": 0.3, "m": 0.6, "m/s": 8.0, "1/m": 0.05, "1": 1.0}  # of made-up inputs, by unit
 
 
-def export_c(
-    what: Block | Loop,
-    out: str | Path,
-    *,
-    blocks: Sequence[str] = (),
-    name: str | None = None,
-    state: LoopState | None = None,
-) -> list[Path]:
+def export_c(what: Block | Loop, out: str | Path, *, blocks: Sequence[str] = (), name: str | None = None) -> list[Path]:
     """Write a block, or some `blocks` of a loop, as C99 with a header, a CMake file and a test that replays a log.
 
     The C is one file with no allocation, no recursion and nothing of libc but math.h::
@@ -47,14 +40,13 @@ def export_c(
     samples of its simulation; of a single block made-up inputs through the block itself.
 
     blocks: of a loop, the names of the parts to export, such as ("controller", "doe", "recovery", "supervisor").
-    name: of files, functions and structs (default: the block's class, or "controller"). state: of the loop, to start
-    from (default: `loop.init()`). Returns the files. Raises TraceError naming a block that cannot be exported;
-    ValueError for a bad name or no blocks.
+    name: of files, functions and structs (default: the block's class, or "controller"). Returns the files. Raises
+    TraceError naming a block that cannot be exported; ValueError for a bad name or no blocks.
     """
     alone = isinstance(what, Block)
     loop, chosen = (_fed(what), ("block",)) if isinstance(what, Block) else (what, blocks)
     require(bool(chosen), "export_c", f"which blocks of the loop? blocks=(...) of: {', '.join(loop.names)}")
-    part = _Part.of_loop(loop, chosen, start_of(loop) if state is None else state, alone)
+    part = _Part.of_loop(loop, chosen, alone)
     title = name or (re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", type(what).__name__).lower() if alone else "controller")
     fits = re.fullmatch(r"[a-z][a-z0-9_]*", title)
     require(bool(fits), "export_c", f"name {title!r}, expected a C identifier in lower case, such as 'recovery'")
@@ -112,8 +104,6 @@ class _Part:
     """What is exported, with names for C, and a recording of it."""
 
     trace: Trace
-    tick: int
-    """Number of the first sample."""
     start: list[float]
     inputs: dict[str, str]
     outputs: dict[str, str]
@@ -121,7 +111,7 @@ class _Part:
     expected: np.ndarray
 
     @classmethod
-    def of_loop(cls, loop: Loop, names: Sequence[str], start: LoopState, alone: bool) -> _Part:
+    def of_loop(cls, loop: Loop, names: Sequence[str], alone: bool) -> _Part:
         """The named blocks of a loop, with a piece of its simulation. alone: ports are named without their block."""
         for name in names:
             known(name, loop.names, "block of the loop")
@@ -145,9 +135,7 @@ class _Part:
                 inner = a.block in chosen.values()
                 wires.append((a if inner else getattr(outside, c_name(loop.port_name(a))), b))
         inside = {"inputs": outside, **chosen} if sources else chosen
-        every = round(dt / loop.dt)
-        if start.k % (loop.period if every > 1 else 1):
-            raise ValueError(f"export_c: state at tick {start.k}, expected a multiple of {loop.period}")
+        start, every = start_of(loop), round(dt / loop.dt)
         made = trace(Loop(blocks=inside, wires=wires, dt=dt))
         log = simulate(loop, _ROWS * dt, state=start, every=every)
         x = [(0.0,) * len(sources)] * bool(sources) + [start.x[loop.names.index(n)] for n in chosen]
@@ -156,7 +144,6 @@ class _Part:
         columns = [log[s].reshape(len(log.t), -1) for s in signals]
         return cls(
             made,
-            start.k // every,
             made.layout.pack(x, y),
             units,
             {c_name(signal): signal for signal in signals},
@@ -242,7 +229,7 @@ class _Part:
                 f'#include <math.h>\n#include "{name}.h"\n\n{SCALAR_TYPES}\n',
                 table_source(self.trace.tables),
                 *ticks,
-                f"void {name}_init({name}_state *s)\n{{\n  s->phase = {self.tick % period}u;\n  s->k = {self.tick}.0;",
+                f"void {name}_init({name}_state *s)\n{{\n  s->phase = 0u;\n  s->k = 0.0;",
                 *values,
                 "}\n",
                 f"void {name}_step({name}_state *s, const {name}_inputs *u, {name}_outputs *y)\n{{",

@@ -134,7 +134,9 @@ class Episodes:
         self._arrays["action"][: self.n] = actions
         self._library.step(ctypes.byref(self._fleet), self._how, self._threads)
         if not np.isfinite(self._arrays["cost"][: self.n]).all() or not np.isfinite(self._arrays["info"]).all():
-            self._explain()
+            signals = self._arrays["signals"].transpose(1, 0, 2).reshape(len(self._signals), -1)
+            values = np.vstack([signals, self._arrays["cost"]])[:, : self.n]
+            require_finite(self._signals, values, self._arrays["steps"])
 
     def infos(self) -> dict[str, Array]:
         """What an agent need not know but people want to, (N,) each: SI; copies."""
@@ -148,10 +150,6 @@ class Episodes:
     def _named(self, rows: Array, steps: NDArray[Any], cost: Array) -> dict[str, Array]:
         named = {name: row[: self.n] for name, row in zip(self._names, rows)}
         return named | {"t": steps[: self.n] * self.task.dt, "cost": cost[: self.n].copy()}
-
-    def _explain(self) -> None:
-        signals = self._arrays["signals"].transpose(1, 0, 2).reshape(len(self._signals), -1)
-        require_finite(self._signals, np.vstack([signals, self._arrays["cost"]])[:, : self.n], self._arrays["steps"])
 
 
 # ---- the C ---------------------------------------------------------------------------------------------------

@@ -76,18 +76,18 @@ class PandaLine:
             self._panda.close()
 
 
-class CanLine:
+class CanLine(contextlib.ExitStack):
     """Adapters of python-can, one for each bus of the car. No safety code stands between: the gate and the port are
     the last word, and the maker's camera must be disconnected by other means."""
 
     def __init__(self, table: dict[str, Any]):
-        self._open = contextlib.ExitStack()
+        super().__init__()
         self._buses: dict[int, Any] = {}
         more: dict[str, Any] = {key: table[key] for key in ("interface", "bitrate") if key in table}
         for number, channel in enumerate(table.get("channels", ())):
             if channel != "":
                 self._buses[number] = open_bus({**more, "channel": channel})
-                self._open.callback(self._buses[number].shutdown)
+                self.callback(self._buses[number].shutdown)
 
     def receive(self) -> list[Frame]:
         frames = []
@@ -111,9 +111,6 @@ class CanLine:
                     self._buses[number].send(message)
                 except Exception as error:
                     raise lost(error) from error
-
-    def close(self) -> None:
-        self._open.close()
 
 
 def _heard(end: socket.socket) -> Iterator[tuple[bytes, Any]]:

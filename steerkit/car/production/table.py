@@ -13,7 +13,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.car.config import shipped
 from steerkit.car.production.limits import limits_of
-from steerkit.car.production.platforms import listed, platform
+from steerkit.car.production.platforms import Platform, listed, platform
 from steerkit.vehicles import vehicle
 
 AT = 15.0
@@ -26,7 +26,7 @@ def rows() -> list[dict[str, Any]]:
     return [_row(found) for found in listed().values()]
 
 
-def _row(found: Any) -> dict[str, Any]:
+def _row(found: Platform) -> dict[str, Any]:
     row = {
         "name": found.name,
         "maker": found.maker,

@@ -1,6 +1,7 @@
 """The car's block says that it is one car; a car server that speaks otherwise, or refuses, is told."""
 
 import json
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
@@ -65,7 +66,7 @@ def test_a_car_server_of_another_version_is_told(
 ) -> None:
     coming, sent = iter(answers), list[bytes]()
     line = SimpleNamespace(recv=lambda size: next(coming), send=sent.append, settimeout=print, connect=print)
-    monkeypatch.setattr(clients.socket, "socket", lambda *kind: line)
+    monkeypatch.setattr(clients.socket, "socket", lambda *kind: nullcontext(line))
     monkeypatch.setattr(clients, "_ours", lambda line: True)
     with pytest.raises(CarLost, match=says):
         CarClient("socket", controller=controller, name="me")
