@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -64,27 +65,16 @@ def export(
     if commonroad is not None or opendbc is not None:
         _car(run, commonroad, opendbc)
         console.print(f"car: {', '.join(str(file) for file in (commonroad, opendbc) if file is not None)}")
-    if any(logs := [file for file in (mcap, csv, mf4) if file is not None]):
-        done |= _log(record_of(run), mcap, csv, mf4)
-        console.print(f"log: {', '.join(map(str, logs))}")
+    writers: dict[str, Callable[[Log, Path], Any]] = {"mcap": to_mcap, "csv": Log.save, "mf4": write_mf4}
+    if logs := {kind: file for kind, file in zip(writers, (mcap, csv, mf4)) if file is not None}:
+        record = record_of(run)
+        done |= {kind: writers[kind](record, file) or str(file) for kind, file in logs.items()}
+        console.print(f"log: {', '.join(map(str, logs.values()))}")
     if layout is not None:
         program = LAYOUTS[layout.suffix]
         console.print(f"layout for {program}: {write_layout(program, layout)}")
     if as_json:
         print(json.dumps(done))
-
-
-def _log(record: Log, mcap: Path | None, csv: Path | None, mf4: Path | None) -> dict[str, Any]:
-    done: dict[str, Any] = {}
-    if mcap is not None:
-        done["mcap"] = to_mcap(record, mcap)
-    if csv is not None:
-        record.save(csv)
-        done["csv"] = str(csv)
-    if mf4 is not None:
-        write_mf4(record, mf4)
-        done["mf4"] = str(mf4)
-    return done
 
 
 def _car(file: Path, yaml: Path | None, row: Path | None) -> None:

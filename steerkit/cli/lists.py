@@ -177,10 +177,6 @@ def vehicles(
     for heading in ("mass\n(kg)", "wheel-\nbase\n(m)", "ratio", "delay\n(s)", "steer\nby", "from\n(m/s)"):
         table.add_column(heading, no_wrap=True, justify="left" if heading.endswith("by") else "right")
     for name, mass, wheelbase, ratio, waits, interface, slowest in (row.values() for row in rows):
-        steering = (
-            "-" if waits is None else f"{waits:.2f}",
-            interface or "-",
-            "-" if slowest is None else f"{slowest:.1f}",
-        )
+        steering = ("-", "-", "-") if interface is None else (f"{waits:.2f}", interface, f"{slowest:.1f}")
         table.add_row(name, f"{mass:.0f}", f"{wheelbase:.2f}", f"{ratio:.1f}", *steering)
     Console(width=max(80, Console().width)).print(table)  # a narrower terminal would cut off words
