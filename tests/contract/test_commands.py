@@ -143,7 +143,6 @@ def learned(bin_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 WRITTEN_BY = {
     "yard-smooth.csv": ("courses.md", "yard"),
-    "my_file.py": ("howto/controller.md", "my_file.py"),
     "yard.xodr": ("courses.md", "write_text"),
 }
 """Files that Python blocks of a page write: the page under docs, and a word that only those blocks have."""
