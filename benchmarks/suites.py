@@ -15,6 +15,7 @@ from benchmarks.run.results import case_id
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import MULTI_BODY, scene, unlike_the_data_sheet
 from steerkit._support.errors import known
+from steerkit.proving.manoeuvre import some
 from steerkit.scenario import Scenario
 from steerkit.scenario.scenario import tables
 
@@ -89,6 +90,22 @@ def _tracking_scenarios() -> tuple[Scenario, ...]:
         scene(name="curvature-step-7", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0}),
         scene(name="iso3888-1-multi-body", course="iso3888-1", **_MB),
         scene(name="slalom-multi-body", course="slalom", **_MB),
+    )
+
+
+@cache
+def _manoeuvres() -> Suite:
+    """The manoeuvres on a course, as `steerkit prove` has them; bounds of ISO 11270 and UN R79 stand in the report."""
+    on_course = [one for one in some(["all"]) if one.course]
+    return Suite(
+        name="manoeuvres",
+        about="ISO 3888 lane changes and lane keeping of ISO 11270 and UN R79 at 60 and 80 km/h",
+        scenarios=tuple(
+            scene(name=one.name, course=one.course, driver={"v_min": one.conditions.v, "v_max": one.conditions.v})
+            for one in on_course
+        ),
+        controllers=(*ANALYTIC, *LEARNED),
+        seeds=3,
     )
 
 
@@ -295,6 +312,7 @@ def _golden() -> Suite:
 SUITES: dict[str, Callable[[], Suite]] = {
     "paper": _paper,
     "tracking": _tracking,
+    "manoeuvres": _manoeuvres,
     "robustness": _robustness,
     "generalise": _generalise,
     "learning-curve": _learning_curve,

@@ -14,20 +14,12 @@ _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return _version()
+        from steerkit._support.version import version
+
+        return version()
     try:
         return _load(name)
     except AttributeError:
         if name in __all__:
             raise
         raise AttributeError(f"module 'steerkit' has no attribute '{name}'; it offers: {', '.join(__all__)}") from None
-
-
-def _version() -> str:
-    """Of the installed package; looked up when it is asked for, as that takes longer than importing steerkit."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("steerkit-control")
-    except PackageNotFoundError:  # run from a source tree that was never installed
-        return "0+unknown"

@@ -103,7 +103,7 @@ class ProductionWorld:
     ):
         self.config, self.path, self.dt = config, path or course_of(config), dt
         self.judge = SafetyJudge(platform(config.port)) if judged else None
-        self.car = PortedCar(config, self.path, judge=self.judge, **more)
+        self.car = self.made(**more)
         self.core = Core(config, self.path)
         self.t, self.misses = 0.0, 0
         self.last: protocol.Snapshot | None = None
@@ -116,6 +116,13 @@ class ProductionWorld:
         self.handle(Link(0.0, 2, True))
         self.handle(Packet(0.0, 2, protocol.encode(protocol.Hello(False))))
         self.until(1.2)
+
+    def made(self, **more: Any) -> Any:
+        """Its car."""
+        return PortedCar(self.config, self.path, judge=self.judge, **more)
+
+    def told(self, event: Event, outputs: list[Any]) -> None:
+        """Is given every event, and what the core made of it."""
 
     # a line to the car
     def query(self) -> protocol.Snapshot:
@@ -163,7 +170,9 @@ class ProductionWorld:
 
     def handle(self, event: Event) -> None:
         """What the core makes of an event."""
-        for out in self.core.handle(event):
+        outputs = self.core.handle(event)
+        self.told(event, outputs)
+        for out in outputs:
             match out:
                 case Send():
                     self.car.receive(self.t, out.frame_id, out.data)

@@ -23,6 +23,7 @@ from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.open_loop import OpenLoop
 from steerkit.controllers.supervisor import SupervisorState
 from steerkit.controllers.with_excitation import WAVES, with_excitation
 from steerkit.diagram import realtime
@@ -34,6 +35,7 @@ from steerkit.learning import rundir
 from steerkit.learning.settings import Setting
 from steerkit.paths.path import Path
 from steerkit.plants.speed_driver import ConstantSpeed
+from steerkit.proving.manoeuvre import Conditions, Input, Manoeuvre
 from steerkit.scenario.assembly import controller_of, steering_loop, with_controller
 from steerkit.scenario.catalogue import (
     AUTO,
@@ -150,6 +152,8 @@ class Steers:
     """False: its recovery controller steers until the next net."""
     safe: bool = False
     """Is there a safety filter before the gate?"""
+    run: str = ""
+    """Of a proving ground, what begins or ends here, as JSON: see `with_run`."""
 
     @classmethod
     def by_policy(cls, file: FilePath, doe: str, **more: Any) -> Self:
@@ -167,7 +171,7 @@ class Steers:
         try:
             steers = cls(**json.loads(text))
             kinds = [type(value) for value in vars(steers).values()]
-            require(kinds == [*5 * [str], bool, bool], "fields", "of another type")
+            require(kinds == [*5 * [str], bool, bool, str], "fields", "of another type")
             return steers
         except (TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"remark {text[:2000]!r}: not who steers ({error})") from error
@@ -219,11 +223,15 @@ class Controller:
     """A learned policy's dynamic output element."""
 
 
-def controller_named(name: str, config: CarConfig, *, in_time: bool = False) -> Controller:
+def controller_named(name: str, config: CarConfig, *, in_time: bool = False, run: str = "") -> Controller:
     """A controller by name, or a learned policy by its place; raises ValueError with the valid ones.
 
-    in_time: whatever it solves is in time, however long it takes; for replays.
+    in_time: whatever it solves is in time, however long it takes; for replays. run: what a recording notes of a
+    manoeuvre, `Steers.run`: without it, none is made of a name such as `stanley+step-steer@8.0,0.5,left,3`.
     """
+    if run:
+        made = controller_named(name.partition("+")[0], config, in_time=in_time)
+        return replace(made, block=with_run(made.block, run, config), steers=replace(made.steers, name=name, run=run))
     check_allowed("controller", name, config)
     design_model = design_model_of(config)
     if in_time:
@@ -246,6 +254,29 @@ def controller_named(name: str, config: CarConfig, *, in_time: bool = False) -> 
     if name == "nfq":
         raise ValueError(f"controller 'nfq': no net in {place}; learn one first: steerkit learn --car FILE")
     raise ValueError(f"controller {name!r} is not known, nor a place with a trained policy; valid: {VALID}")
+
+
+def with_run(controller: Block, run: str, config: CarConfig) -> Block:
+    """`controller` with what a proving ground's run has it steer; one that adapts gets it inside.
+
+    run: JSON with `input`, `v`, `side` and `number` while a wave is steered, `on_top` of the controller or instead of
+    it; without `input` the controller steers alone. Raises ValueError for anything else.
+    """
+    if isinstance(controller, Adaptive):
+        return replace(controller, blocks=tuple(with_run(block, run, config) for block in controller.blocks))
+    try:
+        told = json.loads(run)
+        if not told.get("input"):
+            return OpenLoop(block=controller, on_top=True)
+        size: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in told["input"].items()
+        }
+        about: dict[str, Any] = {"name": "run", "title": "", "norm": "", "about": "", "evaluation": "request"}
+        manoeuvre = Manoeuvre(**about, input=Input(**size), conditions=Conditions(v=told["v"]))
+        how: dict[str, Any] = {"number": float(told["number"]), "on_top": told["on_top"] is True}
+        return manoeuvre.open_loop(controller, config.vehicle, told["side"], **how)
+    except (AttributeError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"run {run[:2000]!r}: not what is driven in it ({error!r})") from error
 
 
 def check_allowed(what: str, name: str, config: CarConfig) -> None:

@@ -17,7 +17,7 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from types import TracebackType
 from typing import Any, Self
 
@@ -78,10 +78,18 @@ class Panel:
     session: with `socket`, `timing`, `asked`, `learner_steers`, `adapted`, `filtered`, `corrections`, `watched`,
     `signals`, which came since and let go, and `ending`, which ends the drive: so does a panel that breaks, as no key
     could disengage any more, and one whose parent has ended.
-    more: a line of text of somebody else, and what it is about.
+    more: a line of text of somebody else, and what it is about. own: keys of somebody else, which order nothing.
     """
 
-    def __init__(self, session: Any, title: str, more: Callable[[], str] | None = None, about: str = "learning"):
+    def __init__(
+        self,
+        session: Any,
+        title: str,
+        more: Callable[[], str] | None = None,
+        about: str = "learning",
+        own: Mapping[str, Callable[[], None]] | None = None,
+    ):
+        self.own = own or {}
         self.session, self.title, self.live, self.more, self.about = session, title, session.live, more, about
         self._thread = threading.Thread(target=self._run, name="panel", daemon=True)
         self._over = self._engaged = False
@@ -110,7 +118,7 @@ class Panel:
                     with contextlib.suppress(CarLost):
                         link.order(Order.DISENGAGE)
                     if self._engaged:  # whatever ended it; the car server may be gone
-                        _ring()
+                        ring()
         except CarLost as error:
             self._lost = error
         finally:
@@ -131,7 +139,9 @@ class Panel:
                     return
                 if key == "q":
                     self.session.ending = True
-                if key:
+                if key in self.own:
+                    self.own[key]()
+                elif key:
                     said, order = "", KEYS.get(key, Order.DISENGAGE)
                     if self._engaged and key not in ENDING:  # it asks for something: disengaging is the safe answer
                         order = Order.DISENGAGE
@@ -152,7 +162,7 @@ class Panel:
                 snapshot = link.query()
                 engaged, self._engaged = self._engaged, snapshot.mode is Mode.ENGAGED
                 if engaged and not self._engaged:
-                    _ring()
+                    ring()
                 if link.refused:
                     said = link.refused[-1]
                     link.refused.clear()
@@ -218,7 +228,7 @@ class Panel:
         return Box(table, title=f"steerkit car: {self.title}", subtitle=keys)
 
 
-def _ring() -> None:
+def ring() -> None:
     """The terminal's bell, past whatever draws on it, which takes such characters out."""
     for stream in (sys.stdout, sys.stderr, sys.stdin):
         if stream.isatty():

@@ -110,7 +110,7 @@ class Nets:
         self.late = False
         """Is the safety filter late in this sample, as it was in the drive?"""
         self._seconds = 0.0
-        self._known: dict[tuple[str, str, str, bool], Follow] = {}
+        self._known: dict[tuple[str, str, str, bool, str], Follow] = {}
 
     def clock(self) -> float:
         """The filter's clock, asked before and after its answer: no time passes between, or too much."""
@@ -119,7 +119,7 @@ class Nets:
 
     def follow(self, steers: Steers) -> Follow:
         """How to follow a drive of that controller; raises ValueError when it is gone or no longer the same."""
-        key = steers.name, steers.sha256, steers.recovery, steers.safe
+        key = steers.name, steers.sha256, steers.recovery, steers.safe, steers.run
         if key not in self._known:
             self._known[key] = Follow.of(self._loop(steers), self.link)
         return self._known[key]
@@ -128,7 +128,7 @@ class Nets:
         if not steers.sha256:
             if not (self.named or is_outside(steers.name)):
                 known(steers.name.partition("+")[0], CONTROLLERS, "the recording: controller")
-            return loops.controller_named(steers.name, self.config, in_time=True)
+            return loops.controller_named(steers.name, self.config, in_time=True, run=steers.run)
         file = FilePath(steers.name)
         file = FilePath(self.run) / "nets" / file.name if self.run else file
         if not file.is_file():

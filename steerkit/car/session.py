@@ -13,8 +13,8 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any, TextIO
 
@@ -53,6 +53,8 @@ class Options:
     realtime: bool = False
     recovery: str = AUTO
     quiet: bool = False
+    simulate: Mapping[str, Any] = field(default_factory=dict)
+    """What else the simulated car takes: see `steerkit.car.processes.simulate`."""
 
 
 class Session:
@@ -118,7 +120,9 @@ def session(options: Options) -> Iterator[Session]:
             socket = options.socket or processes.default_socket()
             if options.simulated:  # never through a car server that may have a real car at its other end
                 socket = options.socket or stack.enter_context(tempfile.TemporaryDirectory()) + "/car"
-                process, channel = processes.start_simulated(options.config, time_scale=options.time_scale)
+                process, channel = processes.start_simulated(
+                    options.config, time_scale=options.time_scale, **options.simulate
+                )
                 started.append(process)
             here = Session(options, socket, channel)
             here.signals = signals

@@ -24,6 +24,7 @@ COMMANDS = {
     "demo": ("steerkit.cli.demo", "Learn on the 800 m course and on a real recorded lap; compare with Stanley."),
     "log": ("steerkit.cli.log", "Show what is in a log: its channels, what each is read as, and the drive they make."),
     "plot": ("steerkit.cli.log", "Plot signals of a log over time."),
+    "prove": ("steerkit.cli.prove", "Manoeuvres of vehicle testing: drive one, find it in a log, judge it."),
     "identify": ("steerkit.cli.identify", "Estimate a car's steering and cornering stiffness from a recorded drive."),
     "resimulate": ("steerkit.cli.resimulate", "Drive a recorded drive again in simulation, with another controller."),
     "export": ("steerkit.cli.export", "Export a learning run, a log or a car for other programs."),

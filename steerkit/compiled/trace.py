@@ -15,6 +15,7 @@ from steerkit.diagram.block import state_like
 from steerkit.diagram.diagnostics import check_outputs, mistake, place_of
 from steerkit.diagram.loop import Loop, LoopState
 from steerkit.diagram.maths import Routine, Table
+from steerkit.diagram.wrapper import Wrapper
 
 
 class TraceError(TypeError):
@@ -279,6 +280,8 @@ def replaced(owner: Any, fields: Sequence[str], value: Any, name: str) -> Any:
         members = [item for base in type(owner).__mro__ for item in vars(base).items()]
         cached = {n for n, v in members if isinstance(v, functools.cached_property)}
         made = {f.name for f in dataclasses.fields(owner) if not f.init} | vars(owner).keys() - {*known, *cached}
+        if isinstance(owner, Wrapper):  # the ports of the block inside, which no number decides
+            made -= {"D", "U", "Y", "inputs", "outputs", "pure", *(p.name for p in (*owner.inputs, *owner.outputs))}
         if made:
             raise TraceError(
                 f"parameter '{name}': {type(owner).__name__} computes {', '.join(sorted(made))} when it is built and "

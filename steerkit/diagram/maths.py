@@ -227,6 +227,19 @@ class Table:
         return sys.modules["casadi"].interpolant("table", "linear", [grid], rows.ravel(), exact)
 
 
+def rising(*columns: Any) -> Table:
+    """A row from each sample to the next, of evenly sampled columns (n,): each one's value and its rise; `between`."""
+    samples = [np.asarray(column, dtype=float) for column in columns]
+    return Table(np.column_stack([part for column in samples for part in (column[:-1], np.diff(column))]))
+
+
+def between(table: Table, z: Scalar, column: int = 0) -> Scalar:
+    """A column of what `rising` tabled, linear between samples, at the place z >= 0; a NaN z gives NaN."""
+    i = clip(where(is_finite(z), floor(z), 0.0), 0.0, float(len(table)) - 1.0)
+    row = table(i)
+    return row[2 * column] + (z - i) * row[2 * column + 1]
+
+
 class Routine:
     """Numbers to numbers by code of its own: a solver, say, which is neither arithmetic nor a table.
 

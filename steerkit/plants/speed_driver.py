@@ -100,19 +100,6 @@ class ConstantSpeed(Block):
         return self.Y(x[0])
 
 
-def _rising(*columns: Array | tuple[float, ...]) -> Table:
-    """A row from each sample to the next: of each column its value and its rise; see `_between`."""
-    samples = [np.asarray(column, dtype=float) for column in columns]
-    return Table(np.column_stack([part for column in samples for part in (column[:-1], np.diff(column))]))
-
-
-def _between(table: Table, z: Scalar, column: int = 0) -> Scalar:
-    """A column of what `_rising` tabled, linear between samples, at the place z >= 0; a NaN z gives NaN."""
-    i = m.clip(m.where(m.is_finite(z), m.floor(z), 0.0), 0.0, float(len(table)) - 1.0)
-    row = table(i)
-    return row[2 * column] + (z - i) * row[2 * column + 1]
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Profile(Block):
     """A speed looked up between evenly spaced samples; abstract. `v(p)` is linear between `speeds`."""
@@ -145,12 +132,12 @@ class _Profile(Block):
 
     @cached_property
     def _table(self) -> Table:
-        return _rising(self.speeds)
+        return m.rising(self.speeds)
 
     def _speed(self, p: Scalar) -> Scalar:
         """v at p; a NaN p gives NaN."""
         n, z = float(len(self._table)), p / self.spacing
-        return _between(self._table, z - n * m.floor(z / n) if self.repeat else m.clip(z, 0.0, n))
+        return m.between(self._table, z - n * m.floor(z / n) if self.repeat else m.clip(z, 0.0, n))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -216,14 +203,14 @@ class CurveSpeedDriver(Block):
     @cached_property
     def _ceiling(self) -> Table:
         v = ceiling(self.path, self.a_y_max, self.a_x_max)
-        return _rising(np.append(v, v[0] if self.path.closed else v[-1]))
+        return m.rising(np.append(v, v[0] if self.path.closed else v[-1]))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return self.driver.init(batch)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         rows = float(len(self._ceiling))
-        most = _between(self._ceiling, m.clip(u.s * (rows / self.path.length), 0.0, rows))
+        most = m.between(self._ceiling, m.clip(u.s * (rows / self.path.length), 0.0, rows))
         return self.Y(m.minimum(most, self.driver.output(t, x, ())[0]))  # a NaN in s stays NaN
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
@@ -285,11 +272,11 @@ class Playback(Block):
 
     @cached_property
     def _table(self) -> Table:
-        return _rising(self.angles, self.speeds)
+        return m.rising(self.angles, self.speeds)
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         return self.Y(self._at(t - self.delay, 0), self._at(t, 1))
 
     def _at(self, t: Scalar, column: int) -> Scalar:
         """A column of the record at time t [s]."""
-        return _between(self._table, m.clip(t / self.dt + 1e-9, 0.0, float(len(self._table))), column)
+        return m.between(self._table, m.clip(t / self.dt + 1e-9, 0.0, float(len(self._table))), column)

@@ -15,7 +15,8 @@ from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, Sample, simulate
 from steerkit.estimators.steering_sign import SteeringSigns
-from steerkit.metrics import of_log
+from steerkit.metrics import TABLE, of_log, r79_acceleration, r79_jerk
+from steerkit.metrics.signals import largest
 from steerkit.scenario.assembly import bare, steering_loop
 from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.scenario import Scenario
@@ -149,9 +150,18 @@ def held_all_along(log: Log, *, limit: float = TRIP) -> bool:
 # ---- its table ----------------------------------------------------------------------------------------------------
 
 
+_JUDGES = {"iso_11270": ("max_a_y", "max_jerk"), "un_r79": ("max_a_y_r79", "max_jerk_r79")}
+"""The norms that a drive is judged by, and the metrics whose limits they set: lateral acceleration and jerk."""
+
+
 def row_of(name: str, log: Log) -> dict[str, Any]:
-    """A drive's figures, for a program: its controller, was it held, and `steerkit.metrics.Summary`."""
-    return {"controller": name, "held": held_all_along(log), **asdict(of_log(log))}
+    """A drive's figures, for a program: its controller, was it held, `steerkit.metrics.Summary`, and for ISO 11270 and
+    UN R79 whether it keeps their limits."""
+    a_y, found = log["car.a_y"], asdict(of_log(log))
+    r79 = {"max_a_y_r79": largest(r79_acceleration(log.t, a_y)), "max_jerk_r79": largest(r79_jerk(log.t, a_y))}
+    limits = {metric.name: metric.limit or 0.0 for metric in TABLE}
+    judged = {norm: all((found | r79)[of] <= limits[of] for of in metrics) for norm, metrics in _JUDGES.items()}
+    return {"controller": name, "held": held_all_along(log), **found, **judged}
 
 
 _COLUMNS = {
@@ -161,6 +171,8 @@ _COLUMNS = {
     "max a_y\n[m/s²]": "{max_a_y:.2f}",
     "|e| <\n0.05 m\n[%]": "{percent_within_5cm:.1f}",
     "max jerk\n[m/s³]": "{max_jerk:.1f}",
+    "ISO\n11270": "{iso_11270}",
+    "UN\nR79": "{un_r79}",
 }
 
 
@@ -171,5 +183,6 @@ def comparison(title: str, logs: Mapping[str, Log]) -> Table:
     for name, log in logs.items():
         row = row_of(name, log)
         row["percent_within_5cm"] = 100.0 * row["share_within_5cm"]
+        row |= {norm: "kept" if row[norm] else "not" for norm in _JUDGES}
         table.add_row(name, "yes" if row["held"] else "no", *(text.format(**row) for text in _COLUMNS.values()))
     return table

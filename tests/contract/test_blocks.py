@@ -30,6 +30,7 @@ from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
+from steerkit.controllers.open_loop import OpenLoop
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
@@ -131,6 +132,7 @@ EXAMPLES = [
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1, slew=20.0, a_y_limit=3.0)),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, preview_points=5, v_step=3.0, slew=5.0)),
     Example(CommandCompensation(block=Stanley.of(PASSAT), offset=0.05, gain=1.1)),
+    Example(OpenLoop(block=Stanley.of(PASSAT), wave=(0.0, 1.0, -0.5, 0.0), spacing=0.3, amplitude=0.4, wait=0.1)),
     Example(WithExcitation(block=Stanley.of(PASSAT), vehicle=PASSAT, amplitude=0.6, steepness=2.0)),
     Example(
         Adaptive(

@@ -36,9 +36,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "learning": LOOP,
     "logs": LOOP | {"car"},
     "identification": LOOP | {"logs"},
+    "proving": LOOP | {"logs"},
     "gym": LOOP | {"learning"},
     "export": LOOP | {"learning", "gym"},
-    "car": LOOP | {"learning"},
+    "car": LOOP | {"learning", "proving"},
 }
 """A folder, from the ground up, and which others it may import; itself always, `GROUND` too."""
 GROUND = ("steerkit.diagram.maths", "steerkit.diagram.units")

@@ -47,6 +47,7 @@ def course(name: str) -> Path:
     * iso3888-1, iso3888-2: lane changes for 9 m/s and 3 m/s^2 (`manoeuvres.lane_change`), open;
     * calibration: a figure of eight, 100 m by 35 m, bends down to 17 m, for `steerkit car calibrate`;
     * highway: closed, 6 km, bends down to 400 m, for speeds of 12 to 30 m/s;
+    * bends-250: closed, two straights of 300 m and two bends of 250 m, for lane keeping at 80 km/h;
     * circle, straight, figure-eight, slalom, curvature-step: the formulas with their default sizes.
 
     Raises ValueError for another name, with the nearest one, and for a file of which no course can be made.
@@ -88,6 +89,7 @@ _COURSES: dict[str, Callable[[], Path]] = {
     "paper": paper,
     **{name: partial(_recorded, name) for name in _RECORDED},
     "highway": partial(random_course, 3, length=6000.0, max_kappa=0.0025, name="highway"),
+    "bends-250": partial(bends, [(300.0, 180.0, 250.0, 66.0)] * 2, name="bends-250"),
     "circle": circle,
     "straight": straight,
     "figure-eight": figure_eight,

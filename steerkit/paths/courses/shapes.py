@@ -136,7 +136,9 @@ def bends(plan: Sequence[Bend], *, spacing: float = 1.0, name: str = "bends") ->
     along = np.column_stack((np.cos(headings), np.sin(headings)))
     straights = np.array([straight for straight, *_ in plan])
     gap = straights @ along + sum(piece[-1] for piece in pieces)
-    straights = straights - along @ np.linalg.solve(along.T @ along, gap)
+    straights = straights - along @ np.linalg.lstsq(along.T @ along, gap, rcond=1e-9)[0]  # all may lie along one line
+    open_by = float(np.hypot(*(straights @ along + sum(piece[-1] for piece in pieces))))
+    require(open_by < 1e-6, where, f"no straights of these headings close it: {open_by:.3g} m are left open")
     lengths = np.round(straights, 1).tolist()
     require(bool((straights >= 0.0).all()), where, f"to close, straights become {lengths} [m], expected all >= 0")
     points, at = [], np.zeros(2)

@@ -56,7 +56,7 @@ def shown(
     """A panel over these states; its line, and how often it rang."""
     line, rings = Line(list(modes), lost), list[int]()
     monkeypatch.setattr(panel, "CarClient", lambda *words, **more: line)
-    monkeypatch.setattr(panel, "_ring", lambda: rings.append(1))
+    monkeypatch.setattr(panel, "ring", lambda: rings.append(1))
     options = SimpleNamespace(simulated=simulated, time_scale=100.0)
     session: Any = SimpleNamespace(socket="", options=options, live=False, ending=False, timing=None, signals=[])
     end = time.monotonic() + 60.0
@@ -118,7 +118,7 @@ def pressed(
 
     monkeypatch.setattr(panel, "CarClient", lambda *words, **more: line)
     monkeypatch.setattr(panel, "_keys", keyboard)
-    monkeypatch.setattr(panel, "_ring", lambda: None)
+    monkeypatch.setattr(panel, "ring", lambda: None)
     monkeypatch.setattr(panel, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: True, fileno=lambda: 0))
     monkeypatch.setattr(panel.os, "ttyname", lambda fd: "/dev/pts/3")

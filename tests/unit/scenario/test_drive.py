@@ -56,7 +56,19 @@ def test_the_table_says_of_each_drive_what_its_figures_are() -> None:
     expected = [row[key] for key in ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y")]
     expected += [100.0 * row["share_within_5cm"], row["max_jerk"]]
     digits = (3, 3, 0, 2, 1, 1)
+    *figures, iso, r79 = figures
     assert [cell for (cell,) in figures] == [f"{value:.{n}f}" for value, n in zip(expected, digits, strict=True)]
+    assert (*iso, *r79) == ("kept", "kept")
+    assert row["iso_11270"]
+    assert row["un_r79"]
+    assert row["max_a_y"] <= 3.0
+    fast = drive(
+        Scenario(course="circle", driver={"v_min": 10.0, "v_max": 10.0}), controller("stanley", scenario), rounds=0.3
+    )
+    row = row_of("fast", fast)
+    assert row["max_a_y"] > 3.0
+    assert not row["iso_11270"]
+    assert not row["un_r79"]
     log = logs["stanley"]
     lost = Log(log.t, {**log.signals, "path.e": np.full(len(log.t), 0.6)}, log.units)
     assert [next(iter(column.cells)) for column in comparison("lost", {"a": lost}).columns][1] == "no"

@@ -1,0 +1,427 @@
+"""Manoeuvres on a simulated car: conditions, consent, the wave through the gate, aborts, and the recording."""
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from steerkit.car import loop as loops
+from steerkit.car import panel, prove
+from steerkit.car import recording as recordings
+from steerkit.car import replay as replays
+from steerkit.car.config import CarConfig
+from steerkit.car.loop import Steers
+from steerkit.car.prove import CONSENT, RECORDING_ENDS, TRIES, WARNING, check, most, runs_in, straight
+from steerkit.car.session import Options
+from steerkit.car.simulated import Fault
+from steerkit.car.state_machine import Mode, Order
+from steerkit.paths.courses import circle
+from steerkit.proving.manoeuvre import Abort, Input, manoeuvre
+from tests.support.places import ROOT
+from tests.support.proved_car import ProvingWorld, V, config_on, oval, small
+from tests.unit.car.test_panel import pressed
+
+
+@pytest.fixture(scope="module")
+def kit(tmp_path_factory: pytest.TempPathFactory) -> CarConfig:
+    return config_on(oval(), tmp_path_factory.mktemp("kit"))
+
+
+@pytest.fixture(scope="module")
+def driven(kit: CarConfig, tmp_path_factory: pytest.TempPathFactory) -> tuple[ProvingWorld, Path]:
+    """A step to each side, one more that was aborted by the brake's kin, recorded."""
+    file = tmp_path_factory.mktemp("driven") / "drive.mcap"
+    record = recordings.Recording(file, recordings.described(kit, oval()))
+    world = ProvingWorld(small(a_y=0.12, repeats=1), kit, oval(), recorder=record)
+    world.begin()
+    world.until(world.t + 1.0)
+    world.car.faults.append(Fault(kind="override", target="report", start=world.t, length=0.1))
+    world.until(world.t + 1.0)
+    for _ in range(2):
+        run = world.begin()
+        world.go_on(lambda run=run: run["end"] is not None)
+    world.go_on(lambda: world.over)
+    record.close()
+    return world, file
+
+
+def world_of(kit: CarConfig, **more: Any) -> ProvingWorld:
+    return ProvingWorld(small(a_y=0.12, repeats=1), kit, oval(), **more)
+
+
+def test_the_wave_gets_to_the_wheel_through_the_gate_and_turns_the_car(driven: Any) -> None:
+    world, _ = driven
+    world.check_bus()
+    car, m = world.config.vehicle, small(a_y=0.12)
+    for run, sign in zip((run for run in world.runs if run["cause"] == ""), (1.0, -1.0), strict=True):
+        held = [s for s in world.seen if run["begin"] + 2.0 < s.t < run["end"]]
+        before = [s.delta_sw for s in world.seen if run["begin"] - 1.0 < s.t < run["begin"]]
+        turned = np.mean([s.delta_sw for s in held]) - np.mean(before)
+        assert turned == pytest.approx(sign * m.required.angle(car, V), rel=0.05)
+        assert np.mean([s.a_y for s in held]) == pytest.approx(sign * 0.12, abs=0.03)
+        assert np.std([s.command for s in held]) < 1e-3, "nobody else steers"
+
+
+def test_the_gate_bounds_a_wave_as_any_request(kit: CarConfig) -> None:
+    steep = small("openpilot-step-20", a_y=0.9, repeats=1, sides=("left",))  # a step within a sample
+    world = ProvingWorld(steep, kit, oval())
+    run = world.begin()
+    world.go_on(lambda: run["end"] is not None)
+    asked = [request for event, out in world.events for request in _requests(out) if event.t > run["begin"]]
+    assert any(abs(a - b) > 0.02 for a, b in asked), "the wave is steeper than the gate lets through"
+    world.check_bus()
+    gate = kit.gate
+    for a, b in zip(world.sent, world.sent[1:]):
+        if a.enable and b.enable and a.t > run["begin"]:
+            jerk = V**2 * abs(math.tan(b.delta_sw / 15.6) - math.tan(a.delta_sw / 15.6)) / gate.length(V) / (b.t - a.t)
+            assert jerk <= gate.jerk_max * 1.05 + gate.quantum * V**2 / 15.6 / gate.length(V) / gate.dt_min
+
+
+def _requests(outputs: list[Any]) -> list[tuple[float, float]]:
+    notes = [out.values for out in outputs if getattr(out, "topic", "") == "command"]
+    return [(values["request"], values["sent"]) for values in notes]
+
+
+def test_without_consent_there_is_no_run(kit: CarConfig) -> None:
+    world = world_of(kit)
+    world.engage()
+    world.go_on(lambda: "press g" in world.status)
+    world.until(world.t + 8.0)
+    assert world.runs == []
+    assert world.mode is Mode.ENGAGED
+
+
+def test_a_key_before_the_question_is_no_consent(kit: CarConfig) -> None:
+    world = world_of(kit)
+    assert world.proving is not None
+    world.engage()
+    while "press g" not in world.status:
+        world.proving.consent()
+        world.until(world.t + 0.05)
+        assert world.t < 60.0
+    world.until(world.t + 6.0)
+    assert world.runs == []
+
+
+def test_consent_is_for_one_run_after_a_warning_and_expires(kit: CarConfig) -> None:
+    world = world_of(kit)
+    assert world.proving is not None
+    world.engage()
+    world.go_on(lambda: "press g" in world.status)
+    world.proving.consent()
+    given = world.t
+    world.until(world.t + 0.1)
+    assert "HANDS ON THE WHEEL: it begins in 1.9 s" in world.status
+    fast = world.car.pedals
+    _slower(world)
+    world.go_on(lambda: world.status.partition(": ")[2].startswith("drive at 8"))
+    assert world.runs == []
+    world.until(given + CONSENT + 1.0)
+    world.car.pedals = fast
+    world.go_on(lambda: "press g" in world.status)
+    world.until(world.t + 4.0)
+    assert world.runs == [], "the consent was too old"
+    world.proving.consent()
+    asked = world.t
+    world.go_on(lambda: bool(world.runs))
+    assert world.runs[0]["begin"] - asked == pytest.approx(WARNING, abs=0.15)
+    world.go_on(lambda: "press g" in world.status)
+    world.until(world.t + 5.0)
+    assert len(world.runs) == 1
+
+
+def _slower(world: ProvingWorld) -> None:
+    driver = replace(world.car.pedals.driver, v_min=V - 0.95, v_max=V - 0.9)
+    world.car.pedals = replace(world.car.pedals, driver=driver)
+
+
+def _fault(kind: str, target: str = "report", **more: Any) -> Callable[[ProvingWorld], None]:
+    return lambda world: world.car.faults.append(Fault(kind=kind, target=target, start=world.t, length=0.3, **more))
+
+
+@pytest.mark.parametrize(
+    ("happens", "abort", "cause", "mode"),
+    [
+        (_fault("override"), {}, "OVERRIDE: override", Mode.OVERRIDE),
+        (_fault("torque", amount=5.0), {}, "OVERRIDE: torque", Mode.OVERRIDE),
+        (_fault("drop", "pose"), {}, "FAULT: pose stale", Mode.FAULT),
+        (_fault("drop", "report"), {}, "FAULT: report stale", Mode.FAULT),
+        (_fault("kit_fault"), {}, "FAULT: kit fault", Mode.FAULT),
+        (lambda world: world.order(Order.DISENGAGE), {}, "STANDBY: operator: disengage", Mode.READY),
+        (lambda world: setattr(world, "beats_until", world.t), {}, "FAULT: operator silent", Mode.FAULT),
+        (_slower, {}, "v - 8 m/s: -0.", Mode.ENGAGED),
+        (lambda world: None, {"a_y": 0.6}, "a_y: ", Mode.ENGAGED),
+        (lambda world: None, {"e": 0.4}, "e: ", Mode.ENGAGED),
+        (lambda world: None, {"r": 0.08}, "r: ", Mode.ENGAGED),
+    ],
+)
+def test_what_aborts_a_run(kit: CarConfig, happens: Any, abort: Any, cause: str, mode: Mode) -> None:
+    wanted = small("sine", a_y=1.0, repeats=1, sides=("left",))
+    world = ProvingWorld(wanted, kit, oval())
+    assert world.proving is not None
+    run = world.begin()
+    world.until(world.t + 0.3)
+    happens(world)
+    world.proving.manoeuvre = replace(wanted, abort=replace(Abort(), **abort))  # tighter than it was checked with
+    world.go_on(lambda: run["end"] is not None, 5.0)
+    assert run["cause"].startswith(cause)
+    assert run["end"] - run["begin"] < wanted.seconds
+    world.until(world.t + 0.3)
+    assert world.mode is mode
+    assert cause.split(":")[0] in world.status, "the cause is told"
+    assert world.core.machine.cause.split(":")[0] in (run["cause"] + world.core.machine.cause)
+    if mode is Mode.ENGAGED:  # the controller has the car, and brings it back
+        for _ in range(60):
+            world.until(world.t + 0.1)
+        assert world.mode is Mode.ENGAGED
+        assert abs(world.core.senses.e) < 0.3
+        assert "sine" not in world.run.loop.blocks["controller"].block.__class__.__name__.lower()
+    else:
+        last = max(s.t for s in world.sent if s.enable)
+        assert last - run["end"] < 0.2
+    world.check_bus()
+
+
+def test_the_foot_on_the_brake_aborts_a_run_of_a_car_that_tells(tmp_path: Path) -> None:
+    pytest.importorskip("opendbc")
+    from benchmarks.run.proving_car import aborted
+
+    row = aborted("TESLA_MODEL_3", "brake", 15.0, tmp_path)
+    assert row["ok"], row
+    assert row["cause"].startswith("OVERRIDE: brake")
+    assert row["beyond_gate"] == 0
+
+
+def test_an_invalid_run_is_driven_again_but_not_for_ever(kit: CarConfig) -> None:
+    wanted = replace(small(a_y=0.12), repeats=1, sides=("left",))
+    world = ProvingWorld(wanted, kit, oval(), yes=True)
+    for tries in range(1, TRIES + 1):
+        world.go_on(lambda tries=tries: len(world.runs) == tries)
+        world.until(world.t + 0.3)
+        world.car.faults.append(Fault(kind="override", target="report", start=world.t, length=0.1))
+        world.until(world.t + 0.3)
+    world.go_on(lambda: world.over, 20.0)
+    assert [run["side"] for run in world.runs] == TRIES * ["left"]
+    assert not any(run["cause"] == "" for run in world.runs)
+
+
+def test_a_long_wave_is_steered_on_top_of_the_controller(kit: CarConfig) -> None:
+    wave = replace(manoeuvre("weave").at(V, 1.0), repeats=1)
+    wave = replace(wave, input=replace(wave.required, periods=3.0))
+    world = ProvingWorld(wave, kit, oval(), yes=True)
+    world.go_on(lambda: bool(world.runs) and world.runs[-1]["end"] is not None)
+    (run,) = world.runs
+    assert run["cause"] == ""
+    assert run["end"] - run["begin"] == pytest.approx(15.05, abs=0.06)
+    seen = [s for s in world.seen if run["begin"] < s.t < run["end"]]
+    assert max(s.a_y for s in seen) > 0.15, "Stanley steers against so slow a wave"
+    assert max(abs(s.e) for s in seen) < 1.5, "alone it would lead off further"
+
+
+def test_a_manoeuvre_on_a_course_is_a_round_of_the_cars_own_course(tmp_path: Path) -> None:
+    path = circle(12.0)
+    kit = config_on(path, tmp_path)
+    world = ProvingWorld(replace(manoeuvre("lane-keeping-bend").at(4.0), repeats=1), kit, path)
+    world.engage()
+    world.go_on(lambda: world.over, 400.0)
+    (run,) = world.runs
+    assert (run["cause"], run["side"]) == ("", "course")
+    way = sum(s.v * 0.05 for s in world.seen if run["begin"] < s.t < run["end"])
+    assert way == pytest.approx(path.length, rel=0.03)
+    again = ProvingWorld(manoeuvre("steady-state-circle").at(4.0), kit, path, minutes=0.1)
+    again.engage()
+    again.go_on(lambda: bool(again.runs) and again.runs[-1]["end"] is not None)
+    assert again.runs[0]["end"] - again.runs[0]["begin"] == pytest.approx(6.0, abs=0.1)
+
+
+def test_what_does_not_fit_is_refused_by_name_with_what_would(kit: CarConfig) -> None:
+    with pytest.raises(ValueError, match=r"v = 27.8 m/s, its file and port allow 0.5 to 9 .*--speed 9") as error:
+        check(manoeuvre("step-steer"), kit, oval())
+    for name in ("a_y_max", "rate_max", "jerk_max", "e_max", "e_growth"):
+        assert f"{name} " in str(error.value)
+    fits = float(str(error.value).split("--a-y ")[1].split(";")[0])
+    check(manoeuvre("step-steer").at(9.0, fits), kit, oval())
+    with pytest.raises(ValueError, match=f"e_max .*--a-y {fits:g}"):
+        check(manoeuvre("step-steer").at(9.0, fits + 0.02), kit, oval())
+    near = small(abort=replace(Abort(), e=0.5))
+    with pytest.raises(ValueError, match=r"abort\.e 0.04: --a-y 0.04"):  # the smaller of the two
+        check(near, kit, oval())
+    with pytest.raises(ValueError, match=r"straight on, the course has 0 m at the most.*another \[course\]"):
+        check(small(a_y=0.1), kit, circle(50.0))
+    with pytest.raises(ValueError, match="did you mean 'stanley'"):
+        check(small(a_y=0.1), kit, oval(), "stanly")
+    steep = Input(form="levels", angle_deg=200.0, rise=1.0, hold=0.5)
+    with pytest.raises(ValueError, match="a_y_max"):
+        check(small(input=steep), kit, oval())
+    with pytest.raises(ValueError, match="--yes consents for simulated cars alone"):
+        prove.drive(Options(config="dbw-kit.toml"), small(), yes=True)
+    with pytest.raises(ValueError, match="cannot be driven with this car"):
+        prove.drive(Options(config="dbw-kit.toml", simulated=True), manoeuvre("step-steer"))
+
+
+def test_the_largest_size_is_the_linear_cars(kit: CarConfig) -> None:
+    step = small(input=Input(form="levels", a_y=1.0, rise=0.2, hold=2.8))
+    found = most(step, kit, V)
+    t = 3.0 - 0.1  # the ramp counts half
+    assert found["e_max"] == pytest.approx(0.7 * 2.0 / (0.5 * t**2), rel=0.01)
+    assert found["psi_e_max"] == pytest.approx(0.7 * math.radians(45.0) * V / t, rel=0.01)
+    assert found["jerk_max"] == pytest.approx(0.2 * kit.gate.jerk_max * _felt(kit), rel=0.06)
+    wheel = kit.vehicle.steer_ratio * (kit.vehicle.wheelbase / V**2 + kit.vehicle.understeer_gradient)
+    assert found["delta_sw_max"] == pytest.approx(kit.gate.delta_sw_max / wheel)
+
+
+def _felt(kit: CarConfig) -> float:
+    car = kit.vehicle
+    return float(kit.gate.length(V) / (car.wheelbase + car.understeer_gradient * V**2))
+
+
+def test_how_far_a_course_is_straight() -> None:
+    free = straight(oval(), 1e-3)
+    assert free[0] == pytest.approx(400.0, abs=4.0)
+    assert free[100] == pytest.approx(free[0] - 100.0)
+    assert free[-1] == pytest.approx(free[0] + 1.0), "it goes on over the end of a closed course"
+    assert free[430] == 0.0
+    assert straight(circle(2000.0), 1e-3).min() == circle(2000.0).length
+
+
+def test_its_recording_replays_bit_for_bit_and_says_each_run(driven: Any) -> None:
+    world, file = driven
+    recorded = recordings.read(file)
+    config = recordings.config_of(recorded)
+    (drive,) = replays.drives(recorded)
+    same = replays.replayed_requests(drive, config, oval())
+    assert same == len(drive.requests) > 600
+    names = [steers.name for _, steers in drive.remarks]
+    assert names == [
+        *("stanley", "stanley+step-steer@8,0.12,left,1", "stanley", "stanley+step-steer@8,0.12,left,2"),
+        *("stanley", "stanley+step-steer@8,0.12,right,3", "stanley"),
+    ]
+    runs = runs_in(file)
+    assert [set(run) for run in runs] == 3 * [{"number", "side", "begin", "end", "cause", "v", "a_y", "manoeuvre"}]
+    for run, live in zip(runs, world.runs, strict=True):
+        assert run == live | {"begin": run["begin"], "end": run["end"]}
+        assert run["begin"] == pytest.approx(live["begin"], abs=0.05)
+        assert run["end"] == pytest.approx(live["end"], abs=0.05)
+    assert [run["cause"].partition(":")[0] for run in runs] == ["OVERRIDE", "", ""]
+    count, first = next((n, s) for n, s in drive.remarks if "@" in s.name)
+    told = json.loads(first.run)
+    told["input"]["a_y"] = 0.121
+    drive.remarks[drive.remarks.index((count, first))] = (count, replace(first, run=json.dumps(told)))
+    assert replays.replayed_requests(drive, config, oval()) < same, "another wave is noticed"
+
+
+def test_a_users_own_manoeuvre_is_replayed_from_what_was_recorded_of_it(kit: CarConfig, tmp_path: Path) -> None:
+    own = replace(small("sine", a_y=0.3, repeats=1, sides=("right",)), name="my-sine")
+    own = replace(own, input=replace(own.required, frequency=0.8))
+    record = recordings.Recording(tmp_path / "own.mcap", recordings.described(kit, oval()))
+    world = ProvingWorld(own, kit, oval(), recorder=record, yes=True)
+    world.go_on(lambda: bool(world.runs) and world.runs[-1]["end"] is not None)
+    record.close()
+    recorded = recordings.read(tmp_path / "own.mcap")
+    (drive,) = replays.drives(recorded)
+    assert replays.replayed_requests(drive, recordings.config_of(recorded), oval()) == len(drive.requests)
+    assert runs_in(tmp_path / "own.mcap")[0]["manoeuvre"] == "my-sine"
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        *('{"input": {"form": "sine"}}', '{"input": 3}', "[1]", "{", '{"input": {"form": "bump", "a_y": 1}, "v": 8}'),
+        '{"input": {"form": "sine", "a_y": 1}, "v": 8, "side": "up", "number": 1, "on_top": false}',
+    ],
+)
+def test_what_is_no_run_is_refused(kit: CarConfig, run: str) -> None:
+    with pytest.raises(ValueError, match=r"run|input|JSON|property name"):
+        loops.controller_named("stanley", kit, run=run)
+
+
+def test_a_manoeuvre_is_no_controller_to_drive_with(kit: CarConfig) -> None:
+    with pytest.raises(ValueError, match="wave"):
+        loops.controller_named("stanley+step-steer@8,0.5,left,3", kit)
+    assert Steers.read('{"name": "lqr"}').run == ""
+
+
+CUT = """
+import os, signal, sys
+from pathlib import Path
+from steerkit.car import recording as recordings
+from tests.support.proved_car import ProvingWorld, config_on, oval, small
+folder = Path(sys.argv[1])
+kit = config_on(oval(), folder)
+record = recordings.Recording(folder / "cut.mcap", recordings.described(kit, oval()))
+world = ProvingWorld(small(a_y=0.12, repeats=1), kit, oval(), recorder=record)
+world.begin()
+world.until(world.t + 2.0)
+asked, _ = world.t, world.until(world.t + 0.5)
+while (folder / "cut.mcap").stat().st_size < 1000 or not any(
+    m.values["t"] >= asked for m in recordings.read(folder / "cut.mcap").messages
+):
+    pass
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_kill_in_mid_run_leaves_a_recording_that_says_it(tmp_path: Path) -> None:
+    ended = subprocess.run([sys.executable, "-c", CUT, str(tmp_path)], cwd=ROOT, capture_output=True, timeout=120.0)
+    assert ended.returncode == -9, ended.stderr.decode()
+    (run,) = runs_in(tmp_path / "cut.mcap")
+    assert run["cause"] == RECORDING_ENDS
+    assert 1.8 < run["end"] - run["begin"] < 2.7
+    recorded = recordings.read(tmp_path / "cut.mcap")
+    assert not recorded.sound
+    (drive,) = replays.drives(recorded)
+    assert replays.replayed_requests(drive, recordings.config_of(recorded), oval()) == len(drive.requests) > 100
+
+
+def test_a_controller_that_dies_in_mid_run_leaves_silence_and_its_cause(kit: CarConfig, tmp_path: Path) -> None:
+    file = tmp_path / "gone.mcap"
+    record = recordings.Recording(file, recordings.described(kit, oval()))
+    world = world_of(kit, recorder=record)
+    world.begin()
+    world.until(world.t + 1.0)
+    world.due = math.inf
+    died = world.t
+    world.until(world.t + 1.0)
+    assert max(s.t for s in world.sent if s.enable) - died < 0.1
+    record.close()
+    (run,) = runs_in(file)
+    assert run["cause"].startswith("FAULT: controller silent")
+    assert run["end"] - died < 0.2
+
+
+def test_the_key_to_consent_orders_nothing_and_every_other_one_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    came: list[str] = []
+    made = panel.Panel.__init__
+
+    def with_own(self: Any, session: Any, title: str) -> None:
+        made(self, session, title, own={"g": lambda: came.append("g")})
+
+    without, _ = pressed(monkeypatch, Mode.ENGAGED, ["g"])
+    monkeypatch.setattr(panel.Panel, "__init__", with_own)
+    line, _ = pressed(monkeypatch, Mode.ENGAGED, ["g", "g"])
+    assert came == ["g", "g"]
+    assert without.orders.count(Order.DISENGAGE) == 1 + line.orders.count(Order.DISENGAGE)
+    other, _ = pressed(monkeypatch, Mode.ENGAGED, ["x"])
+    assert other.orders.count(Order.DISENGAGE) == without.orders.count(Order.DISENGAGE)
+    assert came == ["g", "g"]
+
+
+def test_drive_puts_it_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The panel gets status and key; the simulated human drives at the manoeuvre's speed."""
+    seen: list[Any] = []
+
+    def session(options: Options) -> Any:
+        seen.append(options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(prove.sessions, "session", session)
+    with pytest.raises(KeyboardInterrupt):
+        prove.drive(Options(config="dbw-kit.toml", simulated=True), small(a_y=0.1), yes=True)
+    assert seen[0].simulate == pytest.approx({"v_min": V - 0.2, "v_max": V + 0.2})
