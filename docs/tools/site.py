@@ -26,6 +26,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Learning": ("learning",),
     "Gymnasium": ("gym",),
     "Logs and identification": ("logs", "identification"),
+    "Manoeuvres": ("proving",),
     "Export": ("export",),
     "Real car": ("car",),
     "Command line": ("cli",),

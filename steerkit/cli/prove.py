@@ -22,7 +22,6 @@ from steerkit.car import recording as recordings
 from steerkit.car.session import Options
 from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
 from steerkit.cli.options import CarOptions, car_options, drive_options, in_simulation, on_car
-from steerkit.cli.page import check_page
 from steerkit.logs import read_drive
 from steerkit.logs.drive import Drive
 from steerkit.proving import page
@@ -38,8 +37,9 @@ from steerkit.vehicles import Vehicle
 from steerkit.vehicles import vehicle as vehicle_named
 from steerkit.vehicles.fleet import fleet
 
-RECORDED = ("delta_sw", "v", "r", "a_y", "beta", "x", "y", "psi", "e")
-"""Signals of a car's recording."""
+RECORDED = {name: name for name in ("delta_sw", "v", "r", "a_y", "beta", "x", "y", "psi", "e")}
+RECORDED |= {"delta_sw_cmd": "command"}
+"""Signals of a run, and what they are called in a car's recording."""
 _ABREAST = 5  # evaluations in columns of a table
 WORDS = {True: "PASSED", False: "FAILED", None: "not judged"}
 
@@ -86,7 +86,7 @@ def prove(
     wanted = [one.at(speed, a_y if one.input else None) for one in some(manoeuvres)]
     kept = read_limits(limits) if limits else []
     page_file = report if report is not None and report.suffix else None
-    check_page(page_file)
+    require(page_file is None or page_file.suffix == ".html", f"--report {report}", "expected FILE.html, or a folder")
     require(page_file is None or len(wanted) == 1, f"--report {report}", "one page is of one manoeuvre; name a folder")
     where, drivers, cars = car or ["sim"], controller or ["stanley"], vehicle or []
     console = Console(stderr=options.as_json, quiet=options.quiet and not options.as_json)
@@ -176,7 +176,7 @@ def _recorded(one: Manoeuvre, file: Path, limits: Sequence[Limit]) -> Evaluation
         recordings.config_of(recording),
         [run for run in car_prove.runs_in(file) if run["manoeuvre"] == one.name],
     )
-    rows = [row for row in recording.of("/car") if np.isfinite([row[name] for name in RECORDED]).all()]
+    rows = [row for row in recording.of("/car") if np.isfinite([row[of] for of in RECORDED.values()]).all()]
     at = np.array([row["t"] for row in rows])
     for run in told:
         on_course = run["side"] == "course"
@@ -187,7 +187,7 @@ def _recorded(one: Manoeuvre, file: Path, limits: Sequence[Limit]) -> Evaluation
         cut.append(
             Run(
                 t=t - run["begin"],
-                signals={name: np.interp(t, at, [row[name] for row in rows]) for name in RECORDED},
+                signals={name: np.interp(t, at, [row[of] for row in rows]) for name, of in RECORDED.items()},
                 side="left" if on_course else run["side"],
                 number=run["number"],
                 invalid=run["cause"] or "",
