@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
 
 from steerkit._support.errors import require
 from steerkit._support.files import File, toml_of, write_text
 from steerkit.diagram.units import FACTORS, degrees_of, radians_of
-from steerkit.logs.channels import Array
 from steerkit.plots.page import Html, document, html, picture, table
-from steerkit.plots.style import COLOURS, PALETTE, new_figure, styled
-from steerkit.proving.evaluate import Evaluation, Result, crossing
+from steerkit.proving.evaluate import Evaluation, Result
 from steerkit.proving.manoeuvre import Manoeuvre
-from steerkit.proving.runs import Run, prepared
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from steerkit.proving.pictures import coloured, pictures
 
 _WORDS = toml_of(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"), "words.toml")
 _JUDGED = {True: ("passed", "good"), False: ("failed", "bad"), None: ("not judged", "open")}
+_MANY = 12
+"""More evaluations than these get a row each."""
 _KEPT = {True: "kept", False: "not kept", None: "not judged"}
-_WIDTH = 4.6  # inches: letters stay readable on a phone
 _SETTINGS = ("repeats", "sides", "cutoff", "sensor_x")
-_NO_CAR = "Simulated; no car was driven."
 
 
 def write(file: File, evaluations: Sequence[Evaluation], *, general: Mapping[str, str] = {}, command: str = "") -> None:
@@ -57,24 +47,27 @@ def write(file: File, evaluations: Sequence[Evaluation], *, general: Mapping[str
         facts |= {"date": time.strftime("%Y-%m-%d"), "instruments": "none, the simulation's own signals"}
     facts |= general
     notes = [f"{e.who}: {note}" if len(evaluations) > 1 else note for e in evaluations for note in e.notes]
-    figures = [picture(figure, caption) for caption, figure in _figures(evaluations)]
-    verdicts = [_verdict(e, colour) for e, colour in _coloured(evaluations)]
-    parted = "</div><div class=beside>" if len(evaluations) > 1 else ""
+    figures = [picture(figure, caption) for caption, figure in pictures(evaluations)]
+    verdicts = [_verdict(e, colour) for e, colour in coloured(evaluations)]
+    if len(evaluations) > _MANY:
+        words = [_JUDGED[e.passed][0] for e in evaluations]
+        counts = ", ".join(f"{words.count(word)} {word}" for word, _ in _JUDGED.values())
+        verdicts = [
+            Html(f"<div class='verdict'><strong>{counts}</strong>of {len(words)} cars; each: see results</div>")
+        ]
+    parted = "</div><div class=beside>" if len(evaluations) + len(figures) > 3 else ""
     parts = [
         Html(f"<h1>{html(manoeuvre.title)}</h1><p>{html(manoeuvre.norm)}<br>{html(manoeuvre.about)}</p>"),
         Html(f"<div class=beside>{''.join(verdicts)}{parted}{''.join(figures)}</div>"),
         Html("<h2>Results</h2>" + _results(evaluations)),
-        Html("<h2>Runs</h2>" + _runs(evaluations)),
+        Html(f"<h2>Runs{' that do not count' if len(evaluations) > _MANY else ''}</h2>" + _runs(evaluations)),
         Html("<h2>General data</h2>" + table(("", ""), facts.items())),
         Html("<h2>Cars</h2>" + _cars(evaluations)),
         Html("<h2>Method</h2>" + _method(manoeuvre)),
         Html("<h2>Notes</h2><ul>" + "".join(f"<li>{html(note)}</li>" for note in notes or ["none"]) + "</ul>"),
     ]
-    closing = _NO_CAR if simulated else ""
+    closing = "Simulated; no car was driven." if simulated else ""
     write_text(file, document(manoeuvre.title, "\n".join(parts), command=command, closing=closing))
-
-
-# ---- words and tables ---------------------------------------------------------------------------------------------
 
 
 def _number(value: float) -> str:
@@ -112,8 +105,8 @@ def _said(result: Result) -> str:
     """Value, interval, and in degrees."""
     beside = _beside(result.value, result.unit)
     interval = _interval(result)
-    more = [f"95 % interval {interval}" if interval != "none" else "no interval", *([beside] if beside else [])]
-    return f"{_with_unit(result.value, result.unit)} ({'; '.join(more)})"
+    more = (f"95 % interval {interval}" if interval != "none" else "no interval", beside, result.note)
+    return f"{_with_unit(result.value, result.unit)} ({'; '.join(filter(None, more))})"
 
 
 def _words(quantity: str) -> str:
@@ -122,10 +115,6 @@ def _words(quantity: str) -> str:
 
 def _who(e: Evaluation, colour: str) -> Html:
     return Html(f"<i class=dot style='background:{colour}'></i>{html(e.who or e.vehicle.name)}")
-
-
-def _coloured(evaluations: Sequence[Evaluation]) -> Iterator[tuple[Evaluation, str]]:
-    return zip(evaluations, itertools.cycle(PALETTE))
 
 
 def _verdict(e: Evaluation, colour: str) -> Html:
@@ -151,10 +140,23 @@ def _verdict(e: Evaluation, colour: str) -> Html:
     return Html(f"<div class='verdict {tone}'>{head}<ul>{items}</ul></div>")
 
 
+def _per_car(head: Sequence[str], rows: Iterable[Sequence[object]], evaluations: Sequence[Evaluation]) -> Html:
+    """A table without its column `car` where there is one car only."""
+    shown = [k for k, name in enumerate(head) if name != "car" or len(evaluations) > 1]
+    return table([head[k] for k in shown], ([row[k] for k in shown] for row in rows))
+
+
 def _results(evaluations: Sequence[Evaluation]) -> Html:
     rows, before = list[tuple[object, ...]](), ""
-    for quantity in dict.fromkeys(result.quantity for e in evaluations for result in e.results):
-        for e, colour in _coloured(evaluations):
+    quantities = dict.fromkeys(result.quantity for e in evaluations for result in e.results)
+    if len(evaluations) > _MANY:
+        for e, colour in coloured(evaluations):
+            known, (word, tone) = {r.quantity: r for r in e.results}, _JUDGED[e.passed]
+            values = (_with_unit(known[name].value, known[name].unit) if name in known else "" for name in quantities)
+            rows.append((_who(e, colour), Html(f"<b class={tone}>{word}</b>"), *values))
+        return table(("car", "verdict", *map(_words, quantities)), rows)
+    for quantity in quantities:
+        for e, colour in coloured(evaluations):
             for r in e.results:
                 if r.quantity == quantity:
                     first = not rows or quantity != before
@@ -162,17 +164,17 @@ def _results(evaluations: Sequence[Evaluation]) -> Html:
                     value = Html(f"<b>{_fixed(_with_unit(r.value, r.unit))}</b>")
                     cells = (value, _fixed(_interval(r)), _fixed(_beside(r.value, r.unit)), r.n, r.note)
                     rows.append((_words(quantity) if first else "", _who(e, colour), *cells))
-    return table(("quantity", "car", "value", "95 % interval", "that is", "repeats", "note"), rows)
+    return _per_car(("quantity", "car", "value", "95 % interval", "that is", "repeats", "note"), rows, evaluations)
 
 
 def _runs(evaluations: Sequence[Evaluation]) -> Html:
     rows = []
-    for e, colour in _coloured(evaluations):
-        for run in e.runs:
+    for e, colour in coloured(evaluations):
+        for run in (run for run in e.runs if run.invalid or len(evaluations) <= _MANY):
             counts = Html(f"<b class=bad>no</b>: {html(run.invalid)}") if run.invalid else "yes"
             speed = _with_unit(float(run["v"].mean()), "m/s")
             rows.append((_who(e, colour), run.number, run.side, speed, f"{run.t[-1] - run.t[0]:.1f} s", counts))
-    return table(("car", "number", "side", "mean speed", "length", "counts"), rows)
+    return _per_car(("car", "number", "side", "mean speed", "length", "counts"), rows, evaluations)
 
 
 def _cars(evaluations: Sequence[Evaluation]) -> Html:
@@ -198,8 +200,10 @@ def _cars(evaluations: Sequence[Evaluation]) -> Html:
 
     columns = [of(e) for e in evaluations]
     names = dict.fromkeys(name for column in columns for name in column)
-    head = ("", *(_who(e, colour) for e, colour in _coloured(evaluations)))
-    return table(head, ((name, *(column.get(name, "") for column in columns)) for name in names))
+    told = [[column.get(name, "") for name in names] for column in columns]
+    rows = [("", *names), *((_who(e, colour), *row) for (e, colour), row in zip(coloured(evaluations), told))]
+    head, *below = rows if len(evaluations) > _MANY else zip(*rows)
+    return table(head, below)
 
 
 def _method(m: Manoeuvre) -> Html:
@@ -222,213 +226,6 @@ def _method(m: Manoeuvre) -> Html:
             if "unverified" in source:
                 source = Html(f"<b class=open>unverified</b>: {html(source.rpartition(': ')[2])}")
             rows.append((_WORDS["settings"].get(key, key), text, source))
-    text = (
-        "The input begins at t = 0. Runs to the right change their sign before they are evaluated. "
-        f"Unverified, as the norm's text was not at hand: {len(m.unverified)} of {len(rows)} numbers."
-    )
+    begin = "The input begins at t = 0. " if m.input else ""
+    text = f"{begin}Unverified, as the norm's text was not at hand: {len(m.unverified)} of {len(rows)} numbers."
     return Html(f"<p>{html(text)}</p>" + table(("", "value", "source"), rows))
-
-
-# ---- pictures -----------------------------------------------------------------------------------------------------
-
-
-class _Drawn(NamedTuple):
-    """Whose runs are drawn, and how."""
-
-    of: Evaluation
-    runs: list[Run]
-    colour: str
-
-    @property
-    def label(self) -> str:
-        who = self.of.who or self.of.vehicle.name
-        return (who if len(who) <= 44 else f"{who[:43]}...").replace("$", r"\$")
-
-
-_SIGNALS: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
-    "e": ("cross-track error [m]", lambda x: x),
-    "delta_sw": ("steering wheel [deg]", degrees_of),
-    "r": ("yaw rate [deg/s]", degrees_of),
-    "a_y": ("lateral acceleration\n[m/s^2]", lambda x: x),
-}
-
-
-def _figures(evaluations: Sequence[Evaluation]) -> list[tuple[str, Figure]]:
-    """Captions and pictures of whatever valid runs tell."""
-    drawn = [
-        _Drawn(e, [prepared(run, e.manoeuvre) for run in e.valid], colour)
-        for e, colour in _coloured(evaluations)
-        if e.valid
-    ]
-    kind = evaluations[0].manoeuvre.evaluation
-    if kind in ("steady", "frequency"):
-        drawn = [one for one in drawn if one.of.curves]
-        made = {"steady": [_characteristic], "frequency": [_bode, _bode_a_y]}[kind]
-    else:
-        made = {"step": [_histories, _answers], "on-centre": [_loops], "transition": [_loops, _histories]}.get(
-            kind, [_histories]
-        )
-    return [make(drawn) for make in made] if drawn else []
-
-
-def _panels(rows: int, drawn: list[_Drawn], height: float = 0.0) -> tuple[Figure, tuple[Axes, ...]]:
-    figure, panels = new_figure(rows, width=_WIDTH, height=height or 0.7 + 1.75 * rows)
-    if 1 < len(drawn) <= len(PALETTE):
-        marks = [panels[0].plot([], [], color=one.colour, label=one.label, lw=2.0)[0] for one in drawn]
-        figure.legend(handles=marks, loc="outside upper left", ncols=1)
-    return figure, panels
-
-
-def _all(panel: Axes, one: _Drawn, x: Callable[[Run], Array], y: Callable[[Run], Array]) -> None:
-    """All runs thin, the first bold."""
-    for k, run in enumerate(one.runs):
-        width, alpha = (0.7, 0.6) if k else (1.7, 1.0)
-        panel.plot(x(run), y(run), color=one.colour, lw=width, alpha=alpha, zorder=2 if k else 3)
-
-
-@styled
-def _histories(drawn: list[_Drawn]) -> tuple[str, Figure]:
-    """Angle, yaw rate and lateral acceleration over time; on a course, the cross-track error too, over the way."""
-    m = drawn[0].of.manoeuvre
-    names = ["delta_sw", "r", "a_y"]
-    if m.evaluation == "course" and all("e" in run.signals for one in drawn for run in one.runs):
-        names.insert(0, "e")
-    if m.evaluation == "request":
-        names = ["a_y", "delta_sw", "r"]
-    x = (lambda run: np.cumsum(run["v"]) * run.dt) if m.course else (lambda run: run.t)
-    figure, panels = _panels(len(names), drawn)
-    for name, panel in zip(names, panels):
-        label, convert = _SIGNALS[name]
-        panel.set_ylabel(label)
-        for one in drawn:
-            _all(panel, one, x, lambda run: convert(run[name]))  # noqa: B023
-        for verdict in drawn[0].of.verdicts:
-            if verdict.limit.quantity == f"max_{name}":
-                for sign in (-1.0, 1.0):
-                    panel.axhline(sign * verdict.limit.high, color=COLOURS["limit"], ls="--", lw=1.0)
-    said = "All runs that count, the first one bold; those to the right with their sign changed."
-    if m.course:
-        said += " Dashed: the limit."
-    elif m.evaluation == "dwell":
-        end = 1.0 / m.required.frequency + m.required.dwell
-        for late in (1.0, 1.75):
-            panels[1].axvline(end + late, color=COLOURS["limit"], ls="--", lw=1.0)
-        said += " Dashed: 1.00 and 1.75 s after the input, where the yaw rate is judged."
-    elif m.evaluation == "request":
-        for k, one in enumerate(drawn):
-            run, per_a_y = one.runs[0], m.at(a_y=1.0).required.angle(one.of.vehicle, m.conditions.v)
-            asked = run["delta_sw_cmd" if "delta_sw_cmd" in run.signals else "delta_sw"] / per_a_y
-            panels[0].plot(run.t, asked, color=COLOURS["ink"], ls="--", lw=1.0, label="" if k else "requested")
-        panels[0].plot([], [], color=drawn[0].colour, label="actual")
-        panels[0].legend(loc="upper right")
-        said += " Requested: what the commanded angle, or the wheel's where none is known, asks; on the same axis."
-    panels[-1].set_xlabel("distance [m]" if m.course else "time [s]")
-    if m.input:
-        panels[-1].set_xlim(left=-1.0)
-    return said, figure
-
-
-@styled
-def _answers(drawn: list[_Drawn]) -> tuple[str, Figure]:
-    """Yaw rate and lateral acceleration over their steady values, with what ISO 7401 reads from them."""
-    seconds = drawn[0].of.manoeuvre.seconds
-
-    def share(run: Run, name: str) -> Array:
-        before = run.between(-1.0, -run.dt)
-        x = run[name] - (run[name][before].mean() if before.any() else 0.0)
-        return np.asarray(x / x[run.between(seconds - 1.0, seconds)].mean())
-
-    figure, panels = _panels(2, drawn, 4.2)
-    for panel, name in zip(panels, ("r", "a_y")):
-        panel.axhspan(0.9, 1.1, color=COLOURS["goal"], alpha=0.35, lw=0.0)
-        panel.set_ylabel(f"{name} over its\nsteady value [1]")
-        for one in drawn:
-            _all(panel, one, lambda run: run.t, lambda run: share(run, name))  # noqa: B023
-            first = one.runs[0]
-            after = first.between(0.0, seconds)
-            levels = (0.5, 0.9)
-            times = [crossing(first.t[after], share(first, name)[after], level) for level in levels]
-            panel.plot(times, levels, "o", color=one.colour, ms=5.0, zorder=4)
-            panel.vlines(times, 0.0, levels, color=one.colour, ls=":", lw=1.0)
-    panels[-1].set_xlabel("time [s]")
-    panels[-1].set_xlim(-0.3, min(seconds, 2.5))
-    return "Green: within 10 % of the steady value. Points: 50 % and 90 % of it, by the first run.", figure
-
-
-@styled
-def _characteristic(drawn: list[_Drawn]) -> tuple[str, Figure]:
-    """Steering-wheel angle over lateral acceleration, and what of it is beyond Ackermann's."""
-    figure, panels = _panels(2, drawn, 5.2)
-    for one in drawn:
-        curves, car, gradient = one.of.curves, one.of.vehicle, one.of["understeer_gradient"].value
-        ratio = float(car.steer_ratio)
-        a_y, wheel = curves["a_y"], curves["wheel"]
-        ackermann = ratio * float(car.wheelbase) * curves["r"] / curves["v"]
-        beyond = wheel - ackermann
-        fit = ratio * gradient * (a_y - a_y.mean()) + beyond.mean()
-        order = np.argsort(a_y)
-        for panel, points, line in ((panels[0], wheel, ackermann + fit), (panels[1], beyond, fit)):
-            panel.plot(a_y, degrees_of(points), "o", color=one.colour, ms=4.0)
-            panel.plot(a_y[order], degrees_of(line[order]), color=one.colour)
-        panels[0].plot(a_y[order], degrees_of(ackermann[order]), color=one.colour, ls="--")
-    panels[0].set_ylabel("steering wheel [deg]")
-    panels[1].set_ylabel("beyond Ackermann's\nangle [deg]")
-    panels[-1].set_xlabel("lateral acceleration [m/s^2], + = left")
-    return "Characteristic curve: points, fitted line; dashed: Ackermann's angle (steering ratio x L r/v).", figure
-
-
-def _bode(drawn: list[_Drawn]) -> tuple[str, Figure]:
-    return _response(drawn, "response", "yaw rate", "1/s", 1.0)
-
-
-def _bode_a_y(drawn: list[_Drawn]) -> tuple[str, Figure]:
-    return _response(drawn, "response_a_y", "lateral acceleration", "m/s^2/deg", radians_of(1.0))
-
-
-@styled
-def _response(drawn: list[_Drawn], name: str, what: str, unit: str, scale: float) -> tuple[str, Figure]:
-    """Gain, phase and, of the yaw rate, coherence over frequency; the fitted model, where there is one."""
-    fitted = name == "response"
-    figure, panels = _panels(3 if fitted else 2, drawn)
-    for one in drawn:
-        f = one.of.curves["f"]
-        styles: list[tuple[str, dict[str, Any]]] = [(name, {"marker": "o", "ls": "", "ms": 3.0})]
-        if fitted and "model" in one.of.curves:
-            styles.append(("model", {"lw": 1.4}))
-        for curve, look in styles:
-            response = one.of.curves[curve]
-            panels[0].plot(f, scale * np.abs(response), color=one.colour, **look)
-            panels[1].plot(f, degrees_of(np.unwrap(np.angle(response))), color=one.colour, **look)
-        if fitted:
-            panels[2].plot(f, one.of.curves["coherence"], "o", color=one.colour, ms=3.0)
-            panels[2].set_ylim(0.0, 1.05)
-            panels[2].set_ylabel("coherence [1]")
-    panels[0].set_xscale("log")
-    panels[0].set_ylim(bottom=0.0)
-    panels[-1].minorticks_off()
-    panels[-1].set_xticks((0.1, 0.2, 0.5, 1.0, 2.0, 5.0), ("0.1", "0.2", "0.5", "1", "2", "5"))
-    panels[-1].set_xlim(0.9 * f.min(), 1.1 * f.max())
-    panels[0].set_ylabel(f"gain [{unit}]")
-    panels[1].set_ylabel("phase [deg]")
-    panels[-1].set_xlabel("frequency [Hz]")
-    return f"From the steering-wheel angle to the {what}: points{'; line: the fitted model' if fitted else ''}.", figure
-
-
-@styled
-def _loops(drawn: list[_Drawn]) -> tuple[str, Figure]:
-    """Lateral acceleration and yaw rate over the angle."""
-    m = drawn[0].of.manoeuvre
-    form = m.required
-    whole = (1.0 / form.frequency, (form.periods - 1.0) / form.frequency)
-    begin, end = whole if m.evaluation == "on-centre" else (0.0, form.rise)
-    figure, panels = _panels(2, drawn, 5.2)
-    for panel, name in zip(panels, ("a_y", "r")):
-        label, convert = _SIGNALS[name]
-        panel.set_ylabel(label)
-        for one in drawn:
-            cut = lambda run, name: run[name][run.between(begin, end)]  # noqa: E731
-            _all(panel, one, lambda run: degrees_of(cut(run, "delta_sw")), lambda run: convert(cut(run, name)))  # noqa: B023
-        for line in (panel.axhline, panel.axvline):
-            line(0.0, color=COLOURS["muted"], lw=0.7, zorder=1)
-    panels[-1].set_xlabel("steering wheel [deg]")
-    return "The answer over the steering-wheel angle, all runs that count.", figure
