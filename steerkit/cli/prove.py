@@ -107,12 +107,14 @@ def prove(
                 each = _in_a_log(wanted, drive, vehicle_named(cars[0] if cars else "vw-passat"), kept)
         for one in each:
             done.setdefault(one.manoeuvre.name, []).append(one)
+    driven = "a car" if where[0].endswith(".toml") else "simulation" if where == ["sim"] else "log"
+    driven = "simulated car on a bus" if simulated_car else driven
     for evaluations in done.values():
         _print(console, evaluations)
         if report is not None:
             file = page_file or report / f"{evaluations[0].manoeuvre.name}.html"
             file.parent.mkdir(parents=True, exist_ok=True)
-            page.write(file, evaluations, command=shlex.join(["steerkit", *sys.argv[1:]]))
+            page.write(file, evaluations, general={"how": driven}, command=shlex.join(["steerkit", *sys.argv[1:]]))
             console.print(f"report: {file}", soft_wrap=True, highlight=False)
     judged = [one.passed for evaluations in done.values() for one in evaluations]
     if options.as_json:

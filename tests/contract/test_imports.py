@@ -36,7 +36,6 @@ MAY_IMPORT: dict[str, set[str]] = {
     "learning": LOOP,
     "logs": LOOP | {"car"},
     "identification": LOOP | {"logs"},
-    "proving": LOOP | {"logs"},
     "gym": LOOP | {"learning"},
     "export": LOOP | {"learning", "gym"},
     "car": LOOP | {"learning", "proving"},
