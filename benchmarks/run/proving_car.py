@@ -42,8 +42,9 @@ from steerkit.proving.manoeuvre import Manoeuvre, manoeuvre, names
 from steerkit.task import DT
 
 KIT = "dbw-kit.toml"
-CARS = {KIT: 8.0, "TESLA_MODEL_3": 15.0, "TOYOTA_RAV4": 15.0}
-"""A kit, a production car by angle and one by torque, and how fast each drives [m/s]."""
+CARS = {KIT: (8.0, "stanley", 40.0), "TESLA_MODEL_3": (15.0, "mpc", 200.0), "TOYOTA_RAV4": (15.0, "mpc", 200.0)}
+"""A kit, a production car by angle and one by torque: how fast each drives [m/s], by which controller between the runs
+(Stanley swings with a slow torque), on which bends [m]."""
 SILENT = 0.15
 """So soon after a kill no command may steer any more [s]."""
 REPORTS = 0.6
@@ -71,7 +72,7 @@ def config_on(course: Course, folder: Path, name: str = KIT) -> CarConfig:
 def fitting(name: str, config: CarConfig, v: float) -> Manoeuvre:
     """A manoeuvre that ships, at that speed [m/s] and at most as large as it fits the car's limits, to each side once.
 
-    On a course: six seconds of it.
+    On a course: as it is.
     """
     made = replace(manoeuvre(name).at(v), repeats=1)
     if on_course(made):
@@ -204,12 +205,21 @@ WATCHED = {"a_y": 0.5, "e": 0.9, "r": 0.5}
 """What `Abort` watches, and a bound as a share of what the run reaches: a tighter one than it was checked with."""
 
 
-def driven(car: str, name: str, v: float, folder: Path) -> dict[str, Any]:
+def _course(car: str, name: str) -> Course:
+    """With straights that are long enough for that manoeuvre."""
+    v, _, radius = CARS[car]
+    made = manoeuvre(name)
+    return oval(300.0 if on_course(made) else max(45.0 * v, v * (made.seconds + 8.0)), radius)
+
+
+def driven(car: str, name: str, folder: Path) -> dict[str, Any]:
     """All runs of a manoeuvre on a car."""
-    path = oval(2000.0, 40.0 if car == KIT else 300.0)
+    (v, base, _), path = CARS[car], _course(car, name)
     config = config_on(path, folder, car)
-    world = ProvingWorld(fitting(name, config, v), config, path, yes=True, minutes=0.1)
-    world.drive(2000.0, lambda: world.over)
+    wanted = fitting(name, config, v)
+    start = 300.0 - 10.0 * v if on_course(wanted) else 20.0  # a bend is what there is to drive there
+    world = ProvingWorld(wanted, config, path, yes=True, base=base, minutes=0.3, s=start)
+    world.drive(1500.0, lambda: world.over)
     runs = world.runs
     return {
         "car": car,
@@ -224,12 +234,12 @@ def driven(car: str, name: str, v: float, folder: Path) -> dict[str, Any]:
     }
 
 
-def aborted(car: str, what: str, v: float, folder: Path) -> dict[str, Any]:
+def aborted(car: str, what: str, folder: Path) -> dict[str, Any]:
     """A run that something ends; kept: did the base controller, or the human, have the car at once?"""
-    path = oval(400.0, 40.0 if car == KIT else 300.0)
+    (v, base, _), path = CARS[car], _course(car, "sine")
     config = config_on(path, folder, car)
     wanted = replace(fitting("sine", config, v), sides=("left",))
-    world = ProvingWorld(wanted, config, path)
+    world = ProvingWorld(wanted, config, path, base=base)
     run = world.begin()
     world.drive(0.3)
     if what in WATCHED:  # the bounds that a run was checked with are those of the linear car
@@ -263,8 +273,8 @@ class Killed:
 
     def __init__(self, car: str, folder: Path):
         self.car, self.folder, self.log, self.number = car, folder, folder / "car.jsonl", 0
-        self.config = config_on(oval(2000.0, 40.0 if car == KIT else 300.0), folder, car)
-        self.file, v = str(folder / "car.toml"), CARS[car]
+        config_on(_course(car, "random-steer"), folder, car)
+        self.file, v = str(folder / "car.toml"), CARS[car][0]
         given: dict[str, Any] = {"log": str(self.log), "v_min": v - 0.1, "v_max": v + 0.1}
         self.simulated, self.channel = processes.start_simulated(self.file, **given)
         self.text = (folder / "text.log").open("w", encoding="utf-8")
@@ -275,7 +285,7 @@ class Killed:
         socket, file = str(self.folder / f"s{self.number}"), self.folder / f"{self.number}.mcap"
         how: dict[str, Any] = {"recording": str(file), "channel": self.channel, "log": self.text}
         server = processes.start_car_server(self.file, socket, **how)
-        command = [sys.executable, "-m", __name__, self.file, socket, name, str(CARS[self.car])]
+        command = [sys.executable, "-m", __name__, self.file, socket, name, self.car]
         child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.text, encoding="utf-8")
         row: dict[str, Any] = {"car": self.car, "manoeuvre": name, "victim": victim, "killed": False}
         try:
@@ -324,14 +334,15 @@ def _ended_after(child: subprocess.Popen[str], seconds: float) -> Any:
     return timer
 
 
-def prove(file: str, socket: str, name: str, v: float) -> None:
+def prove(file: str, socket: str, name: str, car: str) -> None:
     """The process that is the controller: it proves, and says when a run has lasted for a while."""
-    config = load(file)
+    config, (v, base, _) = load(file), CARS[car]
     path = config.course["path"]
     with CarClient(socket) as link:
         link.wait(timeout=20.0)
         wanted = fitting(name, config, v)
-        proving = Proving(config=config, path=path, link=link, manoeuvre=wanted, yes=True, repeats=20, minutes=1.0)
+        how: dict[str, Any] = {"base": base, "yes": True, "repeats": 20, "minutes": 1.0}
+        proving = Proving(config=config, path=path, link=link, manoeuvre=wanted, **how)
         link.order(Order.ARM)
         seconds = 1.0 if on_course(wanted) else 0.4 * min(wanted.seconds, 6.0)
 
@@ -355,14 +366,14 @@ def measure(quick: bool = False, say: Callable[[str], None] = print) -> dict[str
         say(f"{part}: " + ", ".join(f"{k} {x:.3g}" if isinstance(x, float) else f"{k} {x}" for k, x in row.items()))
 
     wanted = QUICK if quick else names()
-    for car, v in CARS.items():
+    for car in CARS:
         with tempfile.TemporaryDirectory() as folder:
             for name in wanted:
-                done("driven", driven(car, name, v, Path(folder)))
+                done("driven", driven(car, name, Path(folder)))
             for what in (*HAPPENS, *WATCHED):
                 if what == "brake" and car == KIT:
                     continue  # the shipped kit does not tell
-                done("aborted", aborted(car, what, v, Path(folder)))
+                done("aborted", aborted(car, what, Path(folder)))
         with tempfile.TemporaryDirectory() as folder:
             bench = Killed(car, Path(folder))
             try:
@@ -385,4 +396,4 @@ def measure(quick: bool = False, say: Callable[[str], None] = print) -> dict[str
 
 
 if __name__ == "__main__":  # as `Killed` starts it
-    prove(sys.argv[1], sys.argv[2], sys.argv[3], float(sys.argv[4]))
+    prove(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4])

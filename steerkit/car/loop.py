@@ -259,7 +259,7 @@ def controller_named(name: str, config: CarConfig, *, in_time: bool = False, run
 def with_run(controller: Block, run: str, config: CarConfig) -> Block:
     """`controller` with what a proving ground's run has it steer; one that adapts gets it inside.
 
-    run: JSON with `input`, `v`, `side` and `number` while a wave is steered, `on_top` of the controller or instead of
+    run: JSON with `input`, `v` and `side` while a wave is steered, `on_top` of the controller or instead of
     it; without `input` the controller steers alone. Raises ValueError for anything else.
     """
     if isinstance(controller, Adaptive):
@@ -268,12 +268,10 @@ def with_run(controller: Block, run: str, config: CarConfig) -> Block:
         told = json.loads(run)
         if not told.get("input"):
             return OpenLoop(block=controller, on_top=True)
-        size: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in told["input"].items()
-        }
+        size: dict[str, Any] = {k: tuple(x) if isinstance(x, list) else x for k, x in told["input"].items()}
         about: dict[str, Any] = {"name": "run", "title": "", "norm": "", "about": "", "evaluation": "request"}
         manoeuvre = Manoeuvre(**about, input=Input(**size), conditions=Conditions(v=told["v"]))
-        how: dict[str, Any] = {"number": float(told["number"]), "on_top": told["on_top"] is True}
+        how: dict[str, Any] = {"number": 1.0, "on_top": told["on_top"] is True}
         return manoeuvre.open_loop(controller, config.vehicle, told["side"], **how)
     except (AttributeError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"run {run[:2000]!r}: not what is driven in it ({error!r})") from error

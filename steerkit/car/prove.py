@@ -7,7 +7,6 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -19,7 +18,7 @@ from steerkit.car import recording as recordings
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient
 from steerkit.car.config import CarConfig, loaded
-from steerkit.car.loop import Controller, Follow, Steers
+from steerkit.car.loop import Follow, Steers
 from steerkit.car.panel import Panel, line_of, ring
 from steerkit.car.production.platforms import platform
 from steerkit.car.protocol import Remark, Snapshot
@@ -47,6 +46,8 @@ TRIES = 3
 ENDING = 5.0
 """The controller steers on for so long after the last run [s]."""
 KEY = "g"
+NOTED = ("number", "side", "v", "a_y", "manoeuvre")
+"""What is noted of a run's beginning."""
 RECORDING_ENDS = "recording ends"
 """Cause of a run whose end was not recorded."""
 
@@ -117,8 +118,9 @@ def check(manoeuvre: Manoeuvre, config: CarConfig, path: Path, base: str = "stan
         limits = most(manoeuvre, config, at)
         fits = math.floor(100.0 * min(limits.values())) / 100.0
         tight = ", ".join(f"{name} {a_y:.2f}" for name, a_y in limits.items() if a_y < asked)
+        hint = f"--a-y {fits:g}" if fits > 0.0 else "none fits"
         if tight:
-            wrong.append(f"a_y = {asked:.3g} m/s^2, at {at:g} m/s its limits allow: {tight}: --a-y {fits:g}")
+            wrong.append(f"a_y = {asked:.3g} m/s^2, at {at:g} m/s its limits allow: {tight}: {hint}")
         needed = at * (WARNING + SPARE + manoeuvre.seconds)
         longest = float(straight(path, manoeuvre.conditions.r_max / at).max())
         if needed > longest:
@@ -162,20 +164,23 @@ class Proving:
         self._recent: deque[Snapshot] = deque(maxlen=round(self.manoeuvre.conditions.settle / DT))
         self._consent = self._warned = self._ended = self._ordered = -math.inf
         self._told = self._aborted = ""
-        self._progress = 0.0
-        self.follow = Follow.of(self._noted(event="drive"), self.link)
+        m, self._progress = self.manoeuvre, 0.0
+        self._free = straight(self.path, m.conditions.r_max / m.conditions.v)
+        self._seconds = math.nan if on_course(m) else m.seconds
+        self._sides = ("course",) if on_course(m) else m.sides
+        self._loops = {side: self._loop(side) for side in (*self._sides, "")}  # before a sample waits for one
+        self._note({"event": "drive"})
+        self.follow = Follow.of(self._loops[""], self.link)
 
-    @cached_property
-    def _straight(self) -> Any:
-        return straight(self.path, self.manoeuvre.conditions.r_max / self.manoeuvre.conditions.v)
+    def _loop(self, side: str) -> Any:
+        block = loops.with_run(self._controller.block, json.dumps(self._run(0, side)), self.config)
+        return loops.car_loop(self.config, self.path, self.link, block)
 
     @property
     def side(self) -> str:
         """Of the next valid run that is wanted; "" when there are enough."""
-        m = self.manoeuvre
-        sides = ("course",) if on_course(m) else m.sides
         done = Counter(run["side"] for run in self.runs if run["cause"] == "")
-        planned = [(n, side) for n in range(self.repeats or m.repeats) for side in sides]
+        planned = [(n, side) for n in range(self.repeats or self.manoeuvre.repeats) for side in self._sides]
         over = len(self.runs) >= TRIES * len(planned)
         return "" if over else next((side for n, side in planned if done[side] <= n), "")
 
@@ -243,8 +248,8 @@ class Proving:
             if not abs(sum(one.r for one in recent)) < c.r_max * max(len(recent), 1):
                 yield f"drive straight on for {c.settle:g} s, |r| below {c.r_max:g} rad/s in the mean"
             left = WARNING + SPARE if self._warned == -math.inf else WARNING - (s.t - self._warned)
-            needed = s.v * (left + self.manoeuvre.seconds)
-            free = float(self._straight[int(live.sample["path.s"]) % len(self._straight)])
+            needed = s.v * (left + self._seconds)
+            free = float(self._free[int(live.sample["path.s"]) % len(self._free)])
             if not needed <= free:
                 yield f"the course bends in {free:.0f} m, the run takes {needed:.0f} m"
         if not all(abs(one.e) <= NEAR for one in recent):
@@ -257,14 +262,11 @@ class Proving:
         return min(self.manoeuvre.conditions.v_tolerance, self.manoeuvre.abort.v)
 
     def _begin(self, live: realtime.Run, s: Snapshot) -> None:
-        m, number = self.manoeuvre, len(self.runs) + 1
-        size = None if on_course(m) else m.required
-        run = {"number": number, "side": self.side, "v": m.conditions.v, "a_y": size.a_y if size else 0.0}
-        wave = {"input": asdict(size) if size else None, "on_top": bool(size) and m.seconds > LONG}
-        loop = self._noted(event="begin", manoeuvre=m.name, **run, **wave)
-        self.runs.append({**run, "manoeuvre": m.name, "begin": s.t, "end": None, "cause": None})
+        told = self._run(len(self.runs) + 1, self.side)
+        self.runs.append({key: told[key] for key in NOTED} | {"begin": s.t, "end": None, "cause": None})
+        self._note(told)
         self._consent, self._progress = -math.inf, live.sample["path.progress"]
-        self.follow.exchange(live, loop)
+        self.follow.exchange(live, self._loops[told["side"]])
 
     def _watch(self, live: realtime.Run, s: Snapshot) -> None:
         """Within a run: its end, or what aborts it."""
@@ -276,13 +278,14 @@ class Proving:
             if "end of the course" in cause:
                 over, cause = True, ""
         else:
-            over = s.t - run["begin"] >= self.manoeuvre.seconds + DT
+            over = s.t - run["begin"] >= self._seconds + DT
         if not (cause or over):
             return
         run.update(end=s.t, cause=cause)
         self._recent.clear()
         self._aborted, self._ended, self.lacking = cause, s.t, "a run has ended"
-        self.follow.exchange(live, self._noted(event="end", number=run["number"], cause=cause))
+        self._note({"event": "end", "number": run["number"], "cause": cause})
+        self.follow.exchange(live, self._loops[""])
         if cause:
             ring()
 
@@ -299,16 +302,19 @@ class Proving:
             if not abs(value) <= limit:
                 yield f"{name}: {value:.2f} {unit}, limit {limit:g}"
 
-    def _noted(self, **told: Any) -> Any:
-        """The loop of those who steer from the next sample on, noted in the recording."""
-        text = json.dumps(told)
+    def _run(self, number: int, side: str) -> dict[str, Any]:
+        """What is noted of a run's beginning: enough to steer it again."""
+        m, size = self.manoeuvre, None if on_course(self.manoeuvre) or not side else self.manoeuvre.required
+        run = {"event": "begin", "number": number, "side": side, "v": m.conditions.v, "a_y": size.a_y if size else 0.0}
+        wave = {"input": asdict(size) if size else None, "on_top": self._seconds > LONG}
+        return run | {"manoeuvre": m.name} | wave
+
+    def _note(self, told: dict[str, Any]) -> None:
+        """Who steers from the next sample on, for the recording."""
         name = self.base
         if told.get("input"):
             name += f"+{told['manoeuvre']}@{told['v']:g},{told['a_y']:g},{told['side']},{told['number']}"
-        made: Controller = replace(self._controller, block=loops.with_run(self._controller.block, text, self.config))
-        steers = replace(made.steers, name=name, run=text)
-        self.link.note(Remark(steers.text()))
-        return loops.car_loop(self.config, self.path, self.link, made.block)
+        self.link.note(Remark(replace(self._controller.steers, name=name, run=json.dumps(told)).text()))
 
     def status(self) -> str:
         """One line for the panel: what is wanted, asked or driven."""
@@ -352,8 +358,7 @@ def runs_in(recording: str | FilePath) -> list[dict[str, Any]]:
             continue
         told = json.loads(text)
         if told["event"] == "begin":
-            row = {key: told[key] for key in ("number", "side", "v", "a_y", "manoeuvre")}
-            runs.append({**row, "begin": t, "end": None, "cause": None})
+            runs.append({key: told[key] for key in NOTED} | {"begin": t, "end": None, "cause": None})
         elif told["event"] == "end" and on:
             runs[-1].update(end=t, cause=told["cause"])
     last = recorded.messages[-1].values["t"] if recorded.messages else math.nan

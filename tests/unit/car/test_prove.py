@@ -193,7 +193,7 @@ def test_the_foot_on_the_brake_aborts_a_run_of_a_car_that_tells(tmp_path: Path) 
     pytest.importorskip("opendbc")
     from benchmarks.run.proving_car import aborted
 
-    row = aborted("TESLA_MODEL_3", "brake", 15.0, tmp_path)
+    row = aborted("TESLA_MODEL_3", "brake", tmp_path)
     assert row["ok"], row
     assert row["cause"].startswith("OVERRIDE: brake")
     assert row["beyond_gate"] == 0
