@@ -108,7 +108,7 @@ def prove(
         for one in each:
             done.setdefault(one.manoeuvre.name, []).append(one)
     driven = "a car" if where[0].endswith(".toml") else "simulation" if where == ["sim"] else "log"
-    driven = "simulated car on a bus" if simulated_car else driven
+    driven = "simulated car on a bus" if options.simulated else driven
     for evaluations in done.values():
         _print(console, evaluations)
         if report is not None:

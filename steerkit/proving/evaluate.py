@@ -22,10 +22,13 @@ PLATEAU = 2.0
 """Length of a stretch that counts as steady [s]."""
 COHERENCE = 0.8
 """From which on a frequency counts."""
+BEYOND = "not determined: no second-order answer within the frequencies of the input"
 UNTOLD = "not determined: its interval is wider than twice its value"
 UNITS = {
     "understeer_gradient": "rad s^2/m",
     "yaw_gain": "1/s",
+    "yaw_peak_gain": "1/s",
+    "a_y_peak_gain": "m/s^2/rad",
     "a_y_gain": "m/s^2/rad",
     "rear_compliance": "rad s^2/m",
     "static_margin": "1",
@@ -559,7 +562,8 @@ def _frequency(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found
             spread = math.sqrt((m - 1) / m * float(np.sum((column - np.mean(column)) ** 2)))
             half = float(scipy.special.stdtrit(m - 1, 0.975)) * spread
             value = m * value - (m - 1) * float(np.mean(column))  # less its bias
-        results.append(Result(name, value, value - half, value + half, m))
+        beyond = name in ("natural_frequency", "damping") and values["natural_frequency"] > 2.0 * found.f[-1]
+        results.append(Result(name, value, value - half, value + half, m, BEYOND if beyond else ""))
     s = 2j * np.pi * found.f
     gain, lead, natural, damping, delay = whole
     curves["model"] = gain * (1 + lead * s) / (1 + 2 * damping * s / natural + (s / natural) ** 2) * np.exp(-delay * s)

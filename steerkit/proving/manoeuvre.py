@@ -230,8 +230,14 @@ class Manoeuvre:
 
     def at(self, v: float | None = None, a_y: float | None = None) -> Manoeuvre:
         """The same at another speed [m/s], or of another size [m/s^2]: what is left out stays."""
-        changed = self if v is None else replace(self, conditions=replace(self.conditions, v=v))
-        return changed if a_y is None else replace(changed, input=replace(self.required, a_y=a_y, angle_deg=0.0))
+        changed, sources = self, dict(self.sources)
+        if v not in (None, self.conditions.v):
+            changed = replace(changed, conditions=replace(self.conditions, v=v))
+            sources["conditions.v"] = f"as driven or asked for; {self.norm}: {self.conditions.v:g}"
+        if a_y is not None and a_y != self.required.a_y:
+            changed = replace(changed, input=replace(self.required, a_y=a_y, angle_deg=0.0))
+            sources["input.a_y"] = f"as asked for; {self.norm}: {self.required.a_y:g}"
+        return replace(changed, sources=sources)
 
     @property
     def required(self) -> Input:

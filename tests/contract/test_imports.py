@@ -36,6 +36,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "learning": LOOP,
     "logs": LOOP | {"car"},
     "identification": LOOP | {"logs"},
+    "proving": LOOP | {"logs"},
     "gym": LOOP | {"learning"},
     "export": LOOP | {"learning", "gym"},
     "car": LOOP | {"learning", "proving"},

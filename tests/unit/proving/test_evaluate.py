@@ -66,6 +66,16 @@ def test_the_rear_axle_s_compliance_is_that_of_the_car() -> None:
     assert evaluated("steady-state-circle")["rear_compliance"].value == pytest.approx(expected, rel=1e-3)
 
 
+def test_a_neutral_car_has_no_second_order_answer_to_be_read() -> None:
+    """Its pole is on its zero: the yaw rate's answer is of first order."""
+    scenario, one = linear("bmw-320i"), manoeuvre("random-steer")
+    found = evaluate(one, simulated(one, scenario), scenario.nominal)
+    assert found["damping"].note.startswith("not determined") or found["damping"].value < 1.5
+    assert found["yaw_gain"].value == pytest.approx(
+        closed_forms(scenario.nominal, one.conditions.v)["yaw_gain"], rel=5e-3
+    )
+
+
 def test_intervals_of_noisy_measurements_hold_the_truth_mostly() -> None:
     """The study `proving` draws 500; here 40 must not be far from 95 %."""
     random, one = np.random.default_rng(3), manoeuvre("steady-state-circle")
