@@ -13,7 +13,6 @@ SCRIPTS = ROOT / "examples" / "gallery"
 PICTURES = ROOT / "docs" / "gallery"
 PAGE = ROOT / "docs" / "gallery.md"
 ORDER = (
-    "five_lines",
     "what_is_wired",
     "tyre_saturation",
     "course_from_gps",
@@ -27,8 +26,8 @@ ORDER = (
 HEAD = """\
 # Gallery
 
-Ten scripts of at most 45 lines, each with the picture that it draws. They are in `examples/gallery`, and run in the
-tests; their blocks can be pasted at Python's prompt. This page is written by `python docs/tools/make_gallery.py`.
+Nine scripts of at most 45 lines, each with the picture that it draws. They are in `examples/gallery`; their blocks can be
+pasted at Python's prompt.
 """
 
 

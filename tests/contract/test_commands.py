@@ -141,10 +141,7 @@ def learned(bin_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
-WRITTEN_BY = {
-    "yard-smooth.csv": ("courses.md", "yard"),
-    "yard.xodr": ("courses.md", "write_text"),
-}
+WRITTEN_BY = {"yard-smooth.csv": ("courses.md", "yard"), "yard.xodr": ("courses.md", "write_text")}
 """Files that Python blocks of a page write: the page under docs, and a word that only those blocks have."""
 
 

@@ -14,7 +14,7 @@ DOORS = [ROOT / "docs" / f"{name}.md" for name in ("control-engineer", "rl-resea
 """The pages for users, which are run from a wheel (test_package.py)."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
-FITTED = ("identification", "logs")
+FITTED = ("identification",)
 """Pages whose programs fit models to recordings, which takes longer than to optimise what drives them."""
 TABLE = SUPPORT / "shell_lines.toml"
 STUDIES = tuple(sorted({file.stem for file in (ROOT / "benchmarks" / "studies").glob("*.py")} - {"__init__"}))
