@@ -26,7 +26,7 @@ ORDER = (
 HEAD = """\
 # Gallery
 
-Nine scripts of at most 45 lines, each with the picture that it draws. They are in `examples/gallery`; their blocks can be
+Nine scripts of at most 45 lines, each with the picture that it draws, from `examples/gallery`; their blocks can be
 pasted at Python's prompt.
 """
 
