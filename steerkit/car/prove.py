@@ -28,6 +28,7 @@ from steerkit.paths.path import Path
 from steerkit.proving.manoeuvre import SPACING, Manoeuvre
 from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.task import DT
+from steerkit.vehicles import Vehicle
 
 LONG = 6.0
 """Waves that last longer are steered on top of the controller [s]."""
@@ -67,6 +68,10 @@ def straight(path: Path, kappa: float) -> Any:
     return free
 
 
+def _per_a_y(car: Vehicle, v: float) -> float:
+    return float(car.steer_ratio * (car.wheelbase / v**2 + car.understeer_gradient))
+
+
 def most(manoeuvre: Manoeuvre, config: CarConfig, v: float) -> dict[str, float]:
     """The largest a_y [m/s^2] of a manoeuvre's input that each limit of a car allows at v [m/s].
 
@@ -77,7 +82,7 @@ def most(manoeuvre: Manoeuvre, config: CarConfig, v: float) -> dict[str, float]:
     gate, states, abort, car = config.gate, config.states, manoeuvre.abort, config.vehicle
     wave = manoeuvre.required.wave[:-1]  # then the controller steers, within the same limits
     change, size = np.diff(wave, prepend=0.0) / SPACING, float(np.abs(wave).max())
-    per_a_y = car.steer_ratio * (car.wheelbase / v**2 + car.understeer_gradient)
+    per_a_y = _per_a_y(car, v)
     felt = gate.length(v) / (car.wheelbase + car.understeer_gradient * v**2)  # the gate may doubt the understeer
     found = {
         "delta_sw_max": min(gate.delta_sw_max, states.delta_sw_max) / (per_a_y * size),
@@ -112,9 +117,7 @@ def check(manoeuvre: Manoeuvre, config: CarConfig, path: Path, base: str = "stan
     if not low <= v <= high:
         wrong.append(f"v = {v:g} m/s, its file and port allow {low:g} to {high:g} (v_engage_max): --speed {at:g}")
     if not on_course(manoeuvre):
-        asked = manoeuvre.required.angle(config.vehicle, at) / replace(
-            manoeuvre.required, a_y=1.0, angle_deg=0.0
-        ).angle(config.vehicle, at)
+        asked = manoeuvre.required.angle(config.vehicle, at) / _per_a_y(config.vehicle, at)
         limits = most(manoeuvre, config, at)
         fits = math.floor(100.0 * min(limits.values())) / 100.0
         tight = ", ".join(f"{name} {a_y:.2f}" for name, a_y in limits.items() if a_y < asked)
@@ -124,8 +127,10 @@ def check(manoeuvre: Manoeuvre, config: CarConfig, path: Path, base: str = "stan
         needed = at * (WARNING + SPARE + manoeuvre.seconds)
         longest = float(straight(path, manoeuvre.conditions.r_max / at).max())
         if needed > longest:
-            hint = f"--speed {longest / (WARNING + SPARE + manoeuvre.seconds):.2g}, or another [course]"
-            wrong.append(f"it takes {needed:.0f} m straight on, the course has {longest:.0f} m at the most: {hint}")
+            slower = f"--speed {longest / needed * at:.2g}, or " if longest > 0.0 else ""
+            wrong.append(
+                f"it takes {needed:.0f} m straight on, the course has {longest:.0f} m: {slower}another [course]"
+            )
     require(not wrong, where, "cannot be driven with this car; " + "; ".join(wrong))
 
 

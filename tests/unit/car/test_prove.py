@@ -253,7 +253,7 @@ def test_what_does_not_fit_is_refused_by_name_with_what_would(kit: CarConfig) ->
     near = small(abort=replace(Abort(), e=0.5))
     with pytest.raises(ValueError, match=r"abort\.e 0.04: --a-y 0.04"):  # the smaller of the two
         check(near, kit, oval())
-    with pytest.raises(ValueError, match=r"straight on, the course has 0 m at the most.*another \[course\]"):
+    with pytest.raises(ValueError, match=r"straight on, the course has 0 m: another \[course\]"):
         check(small(a_y=0.1), kit, circle(50.0))
     with pytest.raises(ValueError, match="did you mean 'stanley'"):
         check(small(a_y=0.1), kit, oval(), "stanly")
