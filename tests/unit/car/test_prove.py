@@ -137,6 +137,24 @@ def test_consent_is_for_one_run_after_a_warning_and_expires(kit: CarConfig) -> N
     assert len(world.runs) == 1
 
 
+def test_who_lets_go_takes_the_consent_back(kit: CarConfig) -> None:
+    world = world_of(kit)
+    assert world.proving is not None
+    world.engage()
+    world.go_on(lambda: "press g" in world.status)
+    world.proving.consent()
+    given = world.t
+    world.until(world.t + 0.2)
+    assert "it begins in" in world.status
+    world.order(Order.DISENGAGE)
+    world.until(world.t + 0.3)
+    world.engage()
+    world.go_on(lambda: "press g" in world.status)
+    assert world.t < given + 0.7 * CONSENT, "the consent would still be young enough"
+    world.until(given + CONSENT + WARNING + 1.0)
+    assert world.runs == []
+
+
 def _slower(world: ProvingWorld) -> None:
     driver = replace(world.car.pedals.driver, v_min=V - 0.95, v_max=V - 0.9)
     world.car.pedals = replace(world.car.pedals, driver=driver)
@@ -173,7 +191,10 @@ def test_what_aborts_a_run(kit: CarConfig, happens: Any, abort: Any, cause: str,
     world.go_on(lambda: run["end"] is not None, 5.0)
     assert run["cause"].startswith(cause)
     assert run["end"] - run["begin"] < wanted.seconds
-    world.until(world.t + 0.3)
+    world.until(world.t + 0.1)
+    block: Any = world.run.loop.blocks["controller"]
+    assert block.amplitude == 0.0, "no wave any more"
+    world.until(world.t + 0.2)
     assert world.mode is mode
     assert cause.split(":")[0] in world.status, "the cause is told"
     assert world.core.machine.cause.split(":")[0] in (run["cause"] + world.core.machine.cause)
@@ -182,7 +203,6 @@ def test_what_aborts_a_run(kit: CarConfig, happens: Any, abort: Any, cause: str,
             world.until(world.t + 0.1)
         assert world.mode is Mode.ENGAGED
         assert abs(world.core.senses.e) < 0.3
-        assert "sine" not in world.run.loop.blocks["controller"].block.__class__.__name__.lower()
     else:
         last = max(s.t for s in world.sent if s.enable)
         assert last - run["end"] < 0.2
