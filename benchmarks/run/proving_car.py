@@ -238,7 +238,8 @@ def aborted(car: str, what: str, folder: Path) -> dict[str, Any]:
     """A run that something ends; kept: did the base controller, or the human, have the car at once?"""
     (v, base, _), path = CARS[car], _course(car, "sine")
     config = config_on(path, folder, car)
-    wanted = replace(fitting("sine", config, v), sides=("left",))
+    name, v = ("openpilot-sine-20", min(v, 10.0)) if what == "r" else ("sine", v)  # where r gets above its least bound
+    wanted = replace(fitting(name, config, v), sides=("left",))
     world = ProvingWorld(wanted, config, path, base=base)
     run = world.begin()
     world.drive(0.3)
