@@ -31,7 +31,7 @@ _EXTRA = {
     **dict.fromkeys(("car_calibration", "car_kill", "car_realtime"), "car"),
     "foreign": "peers",
     "gym_steps": "gym",
-    "production_cars": "production",
+    **dict.fromkeys(("production_cars", "proving"), "production"),
 }
 """Studies that need an extra of the package, and which."""
 _OF_MANY = {"joblib": "bench", "distributed": "bench"}

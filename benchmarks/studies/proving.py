@@ -202,6 +202,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "openpilot_report_samples_off": off,
         "logs": logs,
     }
+    if not options.no_car:
+        from benchmarks.run import proving_car
+
+        figures["car"] = proving_car.measure(quick)
+        print(f"on simulated cars behind the bus: {figures['car']}")
     return figures
 
 

@@ -37,7 +37,8 @@ def simulated(manoeuvre: Manoeuvre, scenario: Scenario, *, controller: str = "st
     """The runs of a manoeuvre by a scenario's car and steering; its course and speeds are the manoeuvre's.
 
     Open loop: `Stanley` drives straight on until the input begins. A manoeuvre on a course is driven by `controller`.
-    A run is of what the car does, in samples of 0.01 s (the plant's own, if those are longer). Repeats have another
+    A run is of what the car does, in samples of 0.01 s (the plant's own, if those are longer); the wheel's angle
+    is the one held in the sample before, so that dead times read half a sample too short. Repeats have another
     seed each, and where nothing is drawn by lot they are the same. Raises ValueError for a car that does not take the
     speed, and what the scenario's parts do.
     """

@@ -39,7 +39,6 @@ MAY_IMPORT: dict[str, set[str]] = {
     "proving": LOOP | {"logs"},
     "gym": LOOP | {"learning"},
     "export": LOOP | {"learning", "gym"},
-    "proving": LOOP | {"logs"},
     "car": LOOP | {"learning", "proving"},
 }
 """A folder, from the ground up, and which others it may import; itself always, `GROUND` too."""
