@@ -172,7 +172,7 @@ class Abort:
     """|lateral acceleration| [m/s^2]."""
     v: float = number(2.0, "m/s", low=0.1, high=20.0)
     """|speed - that of the conditions| [m/s]."""
-    e: float = number(3.5, "m", low=0.2, high=100.0)
+    e: float = number(3.5, "m", low=0.05, high=100.0)
     """|cross-track error|: how far it may lead off a course that a car is on [m]."""
     r: float = number(1.0, "rad/s", low=0.05, high=5.0)
     """|yaw rate| [rad/s]."""

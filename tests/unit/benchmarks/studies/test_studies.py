@@ -46,6 +46,10 @@ KEYS = {
         "altered altered_passed apply_ms departures drives drives_held frames honest_rejected learned learned_of "
         "ports update_ms"
     ),
+    "proving": (
+        "car cars closed_form_error_pct coverage fleet interval_coverage_pct logs manoeuvres minutes "
+        "openpilot_report_samples_off"
+    ),
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
     "sweep": "best compile_seconds cores drive_seconds gains seconds",
     "throughput": (
@@ -155,6 +159,15 @@ def sensible(name: str, f: Any) -> None:
         case "gym_steps":
             assert all(rate > 0.0 for rates in f["steps_per_cpu_second"].values() for rate in rates.values())
             assert f["x_sync_vector_env"] > 3.0
+        case "proving":
+            assert f["closed_form_error_pct"] < 1.0
+            assert f["interval_coverage_pct"] > 60.0  # of six draws
+            assert f["openpilot_report_samples_off"] <= 1.0
+            assert (f["fleet"]["evaluated"], f["fleet"]["invalid"], f["fleet"]["failed"]) == (10, 0, 0)
+            assert "understeer_gradient" in f["logs"]["genesis: steady-state-circle"]
+            assert f["car"]["valid"] == f["car"]["runs"] > 0 == f["car"]["beyond_gate"]
+            assert f["car"]["aborts"] == f["car"]["aborts_of"]
+            assert f["car"]["killed"] == f["car"]["silent_after_kill"] == f["car"]["partial_readable"] == 1
         case "production_cars":
             assert f["ports"] == f["drives"] == f["drives_held"] == 3
             assert f["honest_rejected"] == f["altered_passed"] == f["departures"] == 0
