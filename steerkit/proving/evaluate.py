@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # its parts load when they are first used
 
+from steerkit._support.files import toml_of
 from steerkit.logs.channels import Array
 from steerkit.metrics.comfort import r79_acceleration, r79_jerk
 from steerkit.metrics.signals import rms
@@ -20,37 +22,13 @@ from steerkit.vehicles import Vehicle
 
 PLATEAU = 2.0
 """Length of a stretch that counts as steady [s]."""
+ANSWERS = (("yaw", "r"), ("a_y", "a_y"))
 COHERENCE = 0.8
 """From which on a frequency counts."""
 BEYOND = "not determined: no second-order answer within the frequencies of the input"
 UNTOLD = "not determined: its interval is wider than twice its value"
-UNITS = {
-    "understeer_gradient": "rad s^2/m",
-    "yaw_gain": "1/s",
-    "yaw_peak_gain": "1/s",
-    "a_y_peak_gain": "m/s^2/rad",
-    "a_y_gain": "m/s^2/rad",
-    "rear_compliance": "rad s^2/m",
-    "static_margin": "1",
-    "natural_frequency": "Hz",
-    "bandwidth": "Hz",
-    "phase_1_hz": "rad",
-    "phase_bandwidth": "rad",
-    "damping": "1",
-    "delay": "s",
-    "peak_yaw_rate": "rad/s",
-    "lateral_displacement": "m",
-    "dead_band": "rad",
-    "hysteresis_angle": "rad",
-    "hysteresis_a_y": "m/s^2",
-    "sensitivity": "m/s^2/rad",
-    "max_e": "m",
-    "rms_e": "m",
-    "max_a_y": "m/s^2",
-    "max_jerk": "m/s^3",
-    "max_wheel_rate": "rad/s",
-}
-"""Of the quantities that do not end in their unit."""
+WORDS = toml_of(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"), "words.toml")
+"""Units of quantities, where they are no pure numbers, and how people call quantities and settings."""
 
 
 class Result(NamedTuple):
@@ -66,9 +44,8 @@ class Result(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Its unit; times in [s], shares in [1]."""
-        times = ("_time", "_delay", "_lag", "crossing", "delay_50")
-        return UNITS.get(self.quantity, "s" if any(word in self.quantity for word in times) else "1")
+        """Its unit."""
+        return str(WORDS["units"].get(self.quantity, "1"))
 
 
 class Verdict(NamedTuple):
@@ -78,7 +55,7 @@ class Verdict(NamedTuple):
     passed: bool | None
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Evaluation:
     """A manoeuvre that was driven, in simulation, by a log or by a car, and what it shows."""
 
@@ -90,9 +67,9 @@ class Evaluation:
     """All, also those that do not count."""
     results: tuple[Result, ...]
     verdicts: tuple[Verdict, ...]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
     """What could not be evaluated, and why."""
-    curves: Mapping[str, Array] = field(default_factory=dict)
+    curves: Mapping[str, Array]
     """What is drawn besides the runs, such as the frequency response over `f`."""
 
     @property
@@ -131,13 +108,15 @@ class Evaluation:
 
 
 class Found(NamedTuple):
-    """What an evaluation finds: each repeat's value of each quantity, results that have an interval of their own, what
-    it could not find, and curves."""
+    """What all runs together tell: results that have an interval of their own, what could not be found, and curves."""
 
-    repeats: dict[str, list[float]]
     results: list[Result] = []
     notes: list[str] = []
     curves: dict[str, Array] = {}
+
+
+Row = dict[str, float]
+"""What one repeat tells: values by quantity."""
 
 
 def evaluate(
@@ -158,53 +137,51 @@ def evaluate(
     """
     runs = tuple(checked(run, manoeuvre) for run in runs)
     good = [prepared(run, manoeuvre) for run in runs if not run.invalid]
-    found = _EVALUATED[manoeuvre.evaluation](manoeuvre, good, vehicle) if good else Found({}, notes=["no valid run"])
-    results = [*found.results, *(of_repeats(name, values) for name, values in found.repeats.items() if values)]
+    found, kind = Found(notes=[] if good else ["no valid run"]), manoeuvre.evaluation
+    if good and kind in OF_ALL:
+        found = OF_ALL[kind](manoeuvre, good, vehicle)
+    results = found.results
+    if kind in OF_EACH:
+        rows = [row for run in good for row in OF_EACH[kind](manoeuvre, run, vehicle)]
+        quantities = dict.fromkeys(name for row in rows for name in row)
+        results = [of_repeats(name, [row[name] for row in rows if name in row]) for name in quantities]
+        if good and manoeuvre.course and "max_e" not in quantities:
+            found.notes.append("cross-track error: there is no course")
     results = [r._replace(note=UNTOLD) if r.high - r.low > 2.0 * abs(r.value) else r for r in results]
-    known = {result.quantity: result for result in results}
-    kept = [Verdict(limit, _keeps(known.get(limit.quantity), limit)) for limit in limits or manoeuvre.limits]
-    told = [
-        *notes,
-        *found.notes,
-        *(f"{v.limit.quantity}: not evaluated, so its limit is not judged" for v in kept if v[1] is None),
-    ]
-    return Evaluation(
-        manoeuvre=manoeuvre,
-        who=who,
-        vehicle=vehicle,
-        runs=runs,
-        results=tuple(results),
-        verdicts=tuple(kept),
-        notes=tuple(told),
-        curves=found.curves,
-    )
+    values = {result.quantity: result.value for result in results if not math.isnan(result.value)}
+    verdicts = list[Verdict]()
+    for limit in limits or manoeuvre.limits:
+        value = values.get(limit.quantity)
+        verdicts.append(Verdict(limit, None if value is None else limit.low <= value <= limit.high))
+        if value is None:
+            found.notes.append(f"{limit.quantity}: not evaluated, so its limit is not judged")
+    told = (*notes, *found.notes)
+    return Evaluation(manoeuvre, who, vehicle, runs, tuple(results), tuple(verdicts), told, found.curves)
 
 
-def _keeps(result: Result | None, limit: Limit) -> bool | None:
-    return None if result is None or math.isnan(result.value) else limit.low <= result.value <= limit.high
+def result(quantity: str, value: float, half: float, n: int, note: str = "") -> Result:
+    """One with an interval of this half-width."""
+    return Result(quantity, value, value - half, value + half, n, note)
 
 
-def of_repeats(quantity: str, values: Sequence[float], note: str = "") -> Result:
+def of_repeats(quantity: str, values: Sequence[float]) -> Result:
     """The mean of repeats that told the quantity, and its interval; of one repeat no interval."""
     told = np.array([value for value in values if math.isfinite(value)])
     if not len(told):
-        return Result(quantity, math.nan, math.nan, math.nan, 0, note or "in no run")
+        return result(quantity, math.nan, math.nan, 0, "in no run")
     half = math.nan
     if len(told) > 1:
         half = float(scipy.special.stdtrit(len(told) - 1, 0.975) * np.std(told, ddof=1) / math.sqrt(len(told)))
-    mean = float(told.mean())
     missed = f"in {len(told)} of {len(values)} runs" if len(told) < len(values) else ""
-    return Result(quantity, mean, mean - half, mean + half, len(told), note or missed)
+    return result(quantity, float(told.mean()), half, len(told), missed)
 
 
-def line(x: Array, y: Array) -> tuple[Array, Array]:
-    """Least squares of y = x b: b (k,) and the half-widths of its 95 % intervals, by Student's t. x (n, k)."""
-    b, _, rank, _ = np.linalg.lstsq(x, y, rcond=None)
-    free = len(y) - x.shape[1]
-    if free < 1 or rank < x.shape[1]:
-        return np.asarray(b), np.full(x.shape[1], math.nan)
-    variance = float(np.sum((y - x @ b) ** 2)) / free * np.diag(np.linalg.inv(x.T @ x))
-    return np.asarray(b), np.asarray(scipy.special.stdtrit(free, 0.975) * np.sqrt(variance))
+def _slope(x: Array, y: Array) -> tuple[float, float]:
+    """Of the least-squares line through y over x (n,), n > 2, and the half-width of its 95 % interval, Student's t."""
+    x, y = x - x.mean(), y - y.mean()
+    slope, free = float(x @ y / (x @ x)), len(x) - 2
+    rest = y - slope * x
+    return slope, float(scipy.special.stdtrit(free, 0.975) * np.sqrt(rest @ rest / free / (x @ x)))
 
 
 # ---- steady driving -----------------------------------------------------------------------------------------------
@@ -249,37 +226,33 @@ def _steady(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
     apart from it. The rear axle's compliance d_r is the slope of l_r r/v - beta over a_y, the front one's K + d_r; of
     both the static margin (c_r l_r - c_f l_f)/((c_f + c_r) L), with c_f = m l_r/(L d_f), c_r = m l_f/(L d_r).
     """
-    mirror = np.array([1.0, 0.0, 1.0, 1.0, 1.0])
     rows = np.full((0, 5), math.nan)
     for run in runs:
-        for row in plateaus(run, manoeuvre):
-            whole = np.array([*row, math.nan][:5])
-            rows = np.vstack((rows, np.where(mirror, SIDES[run.side], 1.0) * whole))
+        signs = SIDES[run.side] * np.ones(5)
+        signs[1] = 1.0
+        rows = np.vstack((rows, *(signs * [*row, math.nan][:5] for row in plateaus(run, manoeuvre))))
     if len(rows) < 4 or np.ptp(rows[:, 3]) < 0.5:
         span = float(np.ptp(rows[:, 3])) if len(rows) else 0.0
         few = f"{len(rows)} steady stretches of {PLATEAU:g} s over {span:.1f} m/s^2"
-        return Found({}, notes=[f"steady driving: {few}, expected 4 or more over 0.5 m/s^2"])
+        return Found([], [f"steady driving: {few}, expected 4 or more over 0.5 m/s^2"])
     wheel, v, r, a_y, beta = rows.T
-    one, ratio, length = np.ones(len(rows)), float(vehicle.steer_ratio), float(vehicle.wheelbase)
-    results = []
-    (slope, _), (half, _) = line(np.column_stack((a_y, one)), wheel / ratio - length * r / v)
-    results.append(Result("understeer_gradient", slope, slope - half, slope + half, len(rows)))
-    notes = []
+    n, ratio, length = len(rows), float(vehicle.steer_ratio), float(vehicle.wheelbase)
+    slope, half = _slope(a_y, wheel / ratio - length * r / v)
+    results, notes = [result("understeer_gradient", slope, half, n)], []
     if np.ptp(v) < 0.1 * v.mean():
         for name, y in (("yaw_gain", r), ("a_y_gain", a_y)):
-            (gain, _), (wide, _) = line(np.column_stack((wheel, one)), y)
-            results.append(Result(name, gain, gain - wide, gain + wide, len(rows), f"at {v.mean():.1f} m/s"))
+            gain, wide = _slope(wheel, y)
+            results.append(result(name, gain, wide, n, f"at {v.mean():.1f} m/s"))
     else:
         notes.append("gains: the speed differs by more than a tenth between stretches")
     if np.isfinite(beta).all():
-        (slip, _), (wide, _) = line(np.column_stack((a_y, one)), beta - float(vehicle.l_r) * r / v)
-        results.append(Result("rear_compliance", -slip, -slip - wide, -slip + wide, len(rows)))
+        slip, wide = _slope(a_y, beta - float(vehicle.l_r) * r / v)
+        results.append(result("rear_compliance", -slip, wide, n))
         margin = [_margin(slope + d, -slip + e, vehicle) for d, e in ((0, 0), (half, 0), (0, wide))]
-        wide = math.hypot(margin[1] - margin[0], margin[2] - margin[0])
-        results.append(Result("static_margin", margin[0], margin[0] - wide, margin[0] + wide, len(rows)))
+        results.append(result("static_margin", margin[0], math.hypot(margin[1] - margin[0], margin[2] - margin[0]), n))
     else:
         notes.append("rear compliance, static margin: no sideslip angle was measured")
-    return Found({}, results, notes, {"wheel": wheel, "a_y": a_y, "v": v, "r": r})
+    return Found(results, notes, {"wheel": wheel, "a_y": a_y, "v": v, "r": r})
 
 
 def _margin(gradient: float, d_r: float, vehicle: Vehicle) -> float:
@@ -301,53 +274,39 @@ def crossing(t: Array, x: Array, level: float) -> float:
     return float(t[0]) if k == 0 else float(t[k - 1] + (level - x[k - 1]) / (x[k] - x[k - 1]) * (t[k] - t[k - 1]))
 
 
-def _about(run: Run, name: str) -> Array:
-    """A signal less its mean before the input."""
-    before = run.between(-1.0, -run.dt)
-    return run[name] - (run[name][before].mean() if before.any() else 0.0)
-
-
-def _step(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
+def _step(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     """Of yaw rate and lateral acceleration: gain, delay (50 % of the angle to 50 % of the answer), response time (to
     90 %), time of the peak, overshoot over the steady value, all from 50 % of the angle. Source: ISO 7401, step input.
     """
-    repeats: dict[str, list[float]] = {}
-    for run in runs:
-        after = run.between(0.0, manoeuvre.seconds)
-        last = run.between(manoeuvre.seconds - 1.0, manoeuvre.seconds)
-        t, wheel = run.t[after], _about(run, "delta_sw")
-        size = wheel[last].mean()
-        begin = crossing(t, wheel[after] / size, 0.5)
-        for name, of in (("yaw", "r"), ("a_y", "a_y")):
-            answer = _about(run, of)
-            steady = answer[last].mean()
-            x = answer[after] / steady
-            peak = int(np.argmax(x))
-            row = {
-                f"{name}_gain": steady / size,
-                f"{name}_delay": crossing(t, x, 0.5) - begin,
-                f"{name}_response_time": crossing(t, x, 0.9) - begin,
-                f"{name}_peak_time": float(t[peak]) - begin if x[peak] > 1.005 else math.nan,
-                f"{name}_overshoot": max(float(x[peak]) - 1.0, 0.0),
-            }
-            for quantity, value in row.items():
-                repeats.setdefault(quantity, []).append(float(value))
-    return Found(repeats)
+    row = Row()
+    after = run.between(0.0, manoeuvre.seconds)
+    last = run.between(manoeuvre.seconds - 1.0, manoeuvre.seconds)
+    t, wheel = run.t[after], run.about("delta_sw")
+    size = wheel[last].mean()
+    begin = crossing(t, wheel[after] / size, 0.5)
+    for name, of in ANSWERS:
+        answer = run.about(of)
+        steady = answer[last].mean()
+        x = answer[after] / steady
+        top = int(np.argmax(x))
+        row |= {
+            f"{name}_gain": float(steady / size),
+            f"{name}_delay": crossing(t, x, 0.5) - begin,
+            f"{name}_response_time": crossing(t, x, 0.9) - begin,
+            f"{name}_peak_time": float(t[top]) - begin if x[top] > 1.005 else math.nan,
+            f"{name}_overshoot": max(float(x[top]) - 1.0, 0.0),
+        }
+    yield row
 
 
-def _sine(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
+def _sine(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     """Gain of the first peaks and lag between them. Source: ISO 7401, one period of a sine."""
-    repeats: dict[str, list[float]] = {}
-    half = 0.75 / manoeuvre.required.frequency
-    for run in runs:
-        use = run.between(0.0, half)
-        t = run.t[use]
-        wheel_at, wheel = peak(t, _about(run, "delta_sw")[use])
-        for name, of in (("yaw", "r"), ("a_y", "a_y")):
-            at, size = peak(t, _about(run, of)[use])
-            repeats.setdefault(f"{name}_peak_gain", []).append(size / wheel)
-            repeats.setdefault(f"{name}_lag", []).append(at - wheel_at)
-    return Found(repeats)
+    use = run.between(0.0, 0.75 / manoeuvre.required.frequency)
+    at = {of: peak(run.t[use], run.about(of)[use]) for of in ("delta_sw", "r", "a_y")}
+    (begin, wheel), row = at["delta_sw"], Row()
+    for name, of in ANSWERS:
+        row |= {f"{name}_peak_gain": at[of][1] / wheel, f"{name}_lag": at[of][0] - begin}
+    yield row
 
 
 def peak(t: Array, x: Array) -> tuple[float, float]:
@@ -361,79 +320,65 @@ def peak(t: Array, x: Array) -> tuple[float, float]:
     return float(t[k] + shift * (t[1] - t[0])), float(b - 0.25 * (a - c) * shift)
 
 
-def _request(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
+def _request(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     """From the request's beginning until the lateral acceleration is at 50 % of its first peak, and at the peak.
 
     Source: openpilot, tools/lateral_maneuvers (README; delay at 50 %, crossing time), to one sample.
     """
-    repeats: dict[str, list[float]] = {"delay_50": [], "crossing": []}
-    wanted, car = manoeuvre.required, vehicle
-    for run in runs:
-        use, v = run.between(0.0, manoeuvre.seconds), run["v"].mean()
-        per_a_y = car.steer_ratio * (car.wheelbase / v**2 + car.understeer_gradient)
-        asked = wanted.a_y and "delta_sw_cmd" in run.signals  # else, as in a log, what the wheel's angle asks
-        level = wanted.a_y if asked else float(np.abs(_about(run, "delta_sw")[use]).max() / per_a_y)
-        t, x = run.t[use], _about(run, "a_y")[use] / level
-        for name, share in (("delay_50", 0.5), ("crossing", 1.0)):
-            repeats[name].append(float(t[np.argmax(x >= share)]) if (x >= share).any() else math.nan)
-    return Found(repeats)
+    use, level = run.between(0.0, manoeuvre.seconds), manoeuvre.required.a_y
+    if not (level and "delta_sw_cmd" in run.signals):  # as in a log: what the wheel's angle asks
+        per_a_y = vehicle.steer_ratio * (vehicle.wheelbase / run["v"].mean() ** 2 + vehicle.understeer_gradient)
+        level = float(np.abs(run.about("delta_sw")[use]).max() / per_a_y)
+    t, x = run.t[use], run.about("a_y")[use] / level
+    reached = lambda share: float(t[np.argmax(x >= share)]) if (x >= share).any() else math.nan  # noqa: E731
+    yield {"delay_50": reached(0.5), "crossing": reached(1.0)}
 
 
-def _dwell(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
+def _dwell(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     """Yaw rate 1.00 and 1.75 s after the wheel is straight again over its second peak; displacement 1.07 s after it is
     turned: both where the wheel passes a twentieth of its largest angle.
 
     The displacement is that of the centre of gravity, by twice integrating a_y where no position is known.
     Source: 49 CFR 571.126, S5.2, S7.11 (which takes 5 degrees of the wheel).
     """
-    names = ("peak_yaw_rate", "yaw_ratio_1.00", "yaw_ratio_1.75", "lateral_displacement")
-    repeats: dict[str, list[float]] = {name: [] for name in names}
-    for run in runs:
-        r, wheel = _about(run, "r"), np.abs(_about(run, "delta_sw"))
-        turned = run.t[wheel > 0.05 * wheel.max()]
-        begin, end = float(turned[0]), float(turned[-1])
-        second = -float(r[run.between(begin, end + 0.2)].min())
-        ratios = [-float(np.interp(end + late, run.t, r)) / second for late in (1.0, 1.75)]
-        a_y = np.where(run.t >= begin, _about(run, "a_y"), 0.0)
-        moved = scipy.integrate.cumulative_trapezoid(a_y, dx=run.dt, initial=0.0)
-        moved = scipy.integrate.cumulative_trapezoid(moved, dx=run.dt, initial=0.0)
-        at = float(np.interp(begin + 1.07, run.t, moved))
-        if {"x", "y", "psi"} <= run.signals.keys():
-            there = [[np.interp(begin + after, run.t, run[c]) for c in ("x", "y")] for after in (0.0, 1.07)]
-            psi = float(np.interp(begin, run.t, run["psi"]))
-            at = float(np.subtract(there[1], there[0]) @ np.array([-math.sin(psi), math.cos(psi)]))
-        for name, value in zip(names, (second, *ratios, at)):
-            repeats[name].append(value)
-    return Found(repeats)
+    r, wheel = run.about("r"), np.abs(run.about("delta_sw"))
+    turned = run.t[wheel > 0.05 * wheel.max()]
+    begin, end = float(turned[0]), float(turned[-1])
+    second = -float(r[run.between(begin, end + 0.2)].min())
+    at = lambda time, x: float(np.interp(time, run.t, x))  # noqa: E731
+    if {"x", "y", "psi"} <= run.signals.keys():
+        x, y = (at(begin + 1.07, run[name]) - at(begin, run[name]) for name in ("x", "y"))
+        psi = at(begin, run["psi"])
+        moved = y * math.cos(psi) - x * math.sin(psi)
+    else:
+        a_y = np.where(run.t >= begin, run.about("a_y"), 0.0)
+        speed = scipy.integrate.cumulative_trapezoid(a_y, dx=run.dt, initial=0.0)
+        moved = at(begin + 1.07, scipy.integrate.cumulative_trapezoid(speed, dx=run.dt, initial=0.0))
+    ratios = {f"yaw_ratio_{late:.2f}": -at(end + late, r) / second for late in (1.0, 1.75)}
+    yield {"peak_yaw_rate": second, **ratios, "lateral_displacement": moved}
 
 
 # ---- on centre ----------------------------------------------------------------------------------------------------
 
 
-def _on_centre(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
+def _on_centre(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     """The loop of a_y over the angle: half its width at a_y = 0 and at angle 0, its slope there, lag of the yaw rate.
 
     Every period but the first and the last half is a repeat. Source: ISO 13674-1 (weave); Norman 1984.
     """
-    names = ("sensitivity", "hysteresis_angle", "hysteresis_a_y", "yaw_lag", "a_y_lag")
-    repeats: dict[str, list[float]] = {name: [] for name in names}
     f = manoeuvre.required.frequency
-    for run in runs:
-        for k in range(1, int(manoeuvre.required.periods) - 1):
-            use = run.between(k / f, (k + 1) / f - run.dt)
-            t, (wheel, a_y, r) = (
-                run.t[use],
-                (run[name][use] - run[name][use].mean() for name in ("delta_sw", "a_y", "r")),
-            )
-            angle = _zeros(a_y, wheel)
-            answer = _zeros(wheel, a_y)
-            near = np.abs(wheel) < 0.2 * np.abs(wheel).max()
-            turn = np.exp(-2j * np.pi * f * t)
-            phase = [float(np.angle((x @ turn) / (wheel @ turn))) for x in (r, a_y)]
-            values = (float(np.polyfit(wheel[near], a_y[near], 1)[0]), 0.5 * angle, 0.5 * answer)
-            for name, value in zip(names, (*values, *(-p / (2.0 * np.pi * f) for p in phase))):
-                repeats[name].append(value)
-    return Found(repeats)
+    for k in range(1, int(manoeuvre.required.periods) - 1):
+        use = run.between(k / f, (k + 1) / f - run.dt)
+        wheel, a_y, r = (run[name][use] - run[name][use].mean() for name in ("delta_sw", "a_y", "r"))
+        near = np.abs(wheel) < 0.2 * np.abs(wheel).max()
+        turn = np.exp(-2j * np.pi * f * run.t[use])
+        yield {
+            "sensitivity": float(np.polyfit(wheel[near], a_y[near], 1)[0]),
+            "hysteresis_angle": 0.5 * _zeros(a_y, wheel),
+            "hysteresis_a_y": 0.5 * _zeros(wheel, a_y),
+            "yaw_lag": -float(np.angle((r @ turn) / (wheel @ turn))) / (2.0 * np.pi * f),
+            "a_y_lag": -float(np.angle((a_y @ turn) / (wheel @ turn))) / (2.0 * np.pi * f),
+        }
 
 
 def _zeros(x: Array, of: Array) -> float:
@@ -446,18 +391,14 @@ def _zeros(x: Array, of: Array) -> float:
     return abs(found[0] - found[1])
 
 
-def _transition(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
+def _transition(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     """Gain beyond the centre, and the dead band: twice the angle at which a line through a_y of 0.5 to 1.5 m/s^2 has
     none; what the yaw rate's lag adds to it is in it. Source: ISO 13674-2 (transition)."""
-    repeats: dict[str, list[float]] = {"a_y_gain": [], "dead_band": []}
-    for run in runs:
-        use = run.between(0.0, manoeuvre.required.rise)
-        wheel, a_y = _about(run, "delta_sw")[use], _about(run, "a_y")[use]
-        inside = (a_y >= 0.5) & (a_y <= 1.5)
-        gain, at = np.polyfit(wheel[inside], a_y[inside], 1) if inside.sum() > 10 else (math.nan, math.nan)
-        repeats["a_y_gain"].append(float(gain))
-        repeats["dead_band"].append(float(-2.0 * at / gain))
-    return Found(repeats)
+    use = run.between(0.0, manoeuvre.required.rise)
+    wheel, a_y = run.about("delta_sw")[use], run.about("a_y")[use]
+    inside = (a_y >= 0.5) & (a_y <= 1.5)
+    gain, at = np.polyfit(wheel[inside], a_y[inside], 1) if inside.sum() > 10 else (math.nan, math.nan)
+    yield {"a_y_gain": float(gain), "dead_band": float(-2.0 * at / gain)}
 
 
 # ---- frequency response -------------------------------------------------------------------------------------------
@@ -486,7 +427,7 @@ def spectra(manoeuvre: Manoeuvre, runs: list[Run]) -> Spectra:
     wanted, parts, dt = manoeuvre.required, list[Array](), runs[0].dt
     low, high, random = 0.2, 3.0, wanted.form == "random"
     for run in runs:
-        signals = np.array([_about(run, name) for name in ("delta_sw", "r", "a_y")])
+        signals = np.array([run.about(name) for name in ("delta_sw", "r", "a_y")])
         if not random:
             parts.append(signals[:, run.t >= -1e-9])
             continue
@@ -509,21 +450,26 @@ def spectra(manoeuvre: Manoeuvre, runs: list[Run]) -> Spectra:
     return Spectra(np.asarray(f[use]), np.abs(wheel) ** 2, cross, power)
 
 
-def second_order(f: Array, response: Array, weight: Array, start: Any = None) -> Array:
-    """(gain, T, natural frequency [rad/s], damping, delay [s]) of the yaw rate's response, by weighted least squares.
+def model(theta: Sequence[float] | Array, f: Any) -> Any:
+    """H(s) = G (1 + T s)/(1 + 2 D s/w + (s/w)^2) exp(-tau s) at s = 2 pi i f.
 
-        H(s) = G (1 + T s)/(1 + 2 D s/w + (s/w)^2) exp(-tau s)
-
-    which the linear single track's is. f (n,) [Hz]; response (n,), complex; weight (n,), per relative error.
-    Source: Mitschke, Wallentowitz 2004, section 18; Ljung 1999, section 7.
+    The linear single track's yaw rate over the angle; theta: (G, T [s], w [rad/s], D, tau [s]), f (n,) [Hz].
+    Source: Mitschke, Wallentowitz 2004, section 18.
     """
+    gain, lead, natural, damping, delay = theta
     s = 2j * np.pi * f
+    return gain * (1.0 + lead * s) / (1.0 + 2.0 * damping * s / natural + (s / natural) ** 2) * np.exp(-delay * s)
+
+
+def second_order(f: Array, response: Array, weight: Array, start: Any = None) -> Array:
+    """The theta of `model` by weighted least squares.
+
+    f (n,) [Hz]; response (n,), complex; weight (n,), per relative error. Source: Ljung 1999, section 7.
+    """
 
     def misses(theta: Array) -> Array:
         gain, lead, natural, damping, delay = theta
-        natural = max(natural, 0.1)
-        model = gain * (1.0 + lead * s) / (1.0 + 2.0 * damping * s / natural + (s / natural) ** 2) * np.exp(-delay * s)
-        error = weight * (model / response - 1.0)
+        error = weight * (model((gain, lead, max(natural, 0.1), damping, delay), f) / response - 1.0)
         return np.concatenate((error.real, error.imag))
 
     first = start if start is not None else (float(np.abs(response[:3]).mean()), 0.2, 7.0, 0.7, 0.01)
@@ -539,91 +485,77 @@ def _frequency(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found
     2010; Efron, Tibshirani 1993.
     """
     found = spectra(manoeuvre, runs)
-    if not len(found.wheel):
-        return Found({}, notes=["frequency response: no stretch is long enough for it"])
+    m = len(found.wheel)
+    if not m:
+        return Found([], ["frequency response: no stretch is long enough for it"])
     response, coherence = found.response("r")
     use = np.asarray(coherence >= COHERENCE)
-    use &= len(found.wheel) > 1 or manoeuvre.required.form != "random"  # of one segment it is 1, whatever it says
-    curves = {"f": found.f, "response": response, "coherence": coherence, "response_a_y": found.response("a_y")[0]}
+    use &= m > 1 or manoeuvre.required.form != "random"  # of one segment it is 1, whatever it says
     if use.sum() < 8:
-        return Found({}, notes=[f"frequency response: {use.sum()} frequencies of coherence {COHERENCE:g}, expected 8"])
+        return Found([], [f"frequency response: {use.sum()} frequencies of coherence {COHERENCE:g}, expected 8"])
     weight = np.abs(response[use]) * np.sqrt(found.wheel.mean(axis=0)[use])  # as of white noise in the yaw rate
     weight /= weight.mean()
     whole = second_order(found.f[use], response[use], weight)
-    m, values = len(found.wheel), _read(whole)
-    results = []
-    left_out = []
+    values, left_out = _read(whole), list[Row]()
     for k in range(m if m > 1 else 0):
         part, _ = found.response("r", np.arange(m) != k)
-        left_out.append(list(_read(second_order(found.f[use], part[use], weight, whole)).values()))
-    for name, value, column in zip(values, values.values(), np.array(left_out).T if left_out else [()] * len(values)):
+        left_out.append(_read(second_order(found.f[use], part[use], weight, whole)))
+    results = []
+    for name, value in values.items():
         half = math.nan
         if m > 1:
-            spread = math.sqrt((m - 1) / m * float(np.sum((column - np.mean(column)) ** 2)))
+            without = np.array([row[name] for row in left_out])
+            spread = math.sqrt((m - 1) / m * float(np.sum((without - np.mean(without)) ** 2)))
             half = float(scipy.special.stdtrit(m - 1, 0.975)) * spread
-            value = m * value - (m - 1) * float(np.mean(column))  # less its bias
+            value = m * value - (m - 1) * float(np.mean(without))  # less its bias
         beyond = name in ("natural_frequency", "damping") and values["natural_frequency"] > 2.0 * found.f[-1]
-        results.append(Result(name, value, value - half, value + half, m, BEYOND if beyond else ""))
-    s = 2j * np.pi * found.f
-    gain, lead, natural, damping, delay = whole
-    curves["model"] = gain * (1 + lead * s) / (1 + 2 * damping * s / natural + (s / natural) ** 2) * np.exp(-delay * s)
-    return Found({}, results, [] if m > 1 else ["frequency response: one repeat, so no interval"], curves)
+        results.append(result(name, value, half, m, BEYOND if beyond else ""))
+    curves = {"f": found.f, "response": response, "coherence": coherence, "response_a_y": found.response("a_y")[0]}
+    curves["model"] = model(whole, found.f)
+    return Found(results, [] if m > 1 else ["frequency response: one repeat, so no interval"], curves)
 
 
-def _read(theta: Array) -> dict[str, float]:
+def _read(theta: Array) -> Row:
     """What a fitted response is known by."""
     gain, lead, natural, damping, delay = (float(value) for value in theta)
+    of_one = (1.0, lead, natural, damping, delay)
     f = np.linspace(0.01, 10.0, 2000)
-
-    def at(f: Any) -> Any:
-        s = 2j * np.pi * f
-        return (1.0 + lead * s) / (1.0 + 2.0 * damping * s / natural + (s / natural) ** 2) * np.exp(-delay * s)
-
-    low = np.abs(at(f)) < math.sqrt(0.5)
-    bandwidth = float(f[np.argmax(low)]) if low.any() else math.nan
-    if low.any() and np.argmax(low) > 0:
-        k = int(np.argmax(low))
-        a, b = np.abs(at(f[k - 1 : k + 1]))
-        bandwidth = float(f[k - 1] + (a - math.sqrt(0.5)) / (a - b) * (f[1] - f[0]))
+    bandwidth = crossing(f, -np.abs(model(of_one, f)), -math.sqrt(0.5))
     return {
         "yaw_gain": gain,
         "natural_frequency": natural / (2.0 * math.pi),
         "damping": damping,
         "delay": delay,
         "bandwidth": bandwidth,
-        "phase_1_hz": float(np.angle(at(1.0))),
-        "phase_bandwidth": float(np.angle(at(bandwidth))),
+        "phase_1_hz": float(np.angle(model(of_one, 1.0))),
+        "phase_bandwidth": float(np.angle(model(of_one, bandwidth))),
     }
 
 
 # ---- closed loop --------------------------------------------------------------------------------------------------
 
 
-def _course(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
+def _course(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     """Cross-track error, lateral acceleration and jerk as UN R79 filters them, rate of the wheel."""
-    repeats: dict[str, list[float]] = {}
-    for run in runs:
-        row = {
-            "max_a_y": float(np.abs(r79_acceleration(run.t, run["a_y"])).max()),
-            "max_jerk": float(np.abs(r79_jerk(run.t, run["a_y"])).max()),
-            "max_wheel_rate": float(np.abs(np.diff(run["delta_sw"])).max() / run.dt),
-        }
-        if "e" in run.signals:
-            row |= {"max_e": float(np.abs(run["e"]).max()), "rms_e": rms(run["e"])}
-        for name, value in row.items():
-            repeats.setdefault(name, []).append(value)
-    lacking = [] if any("e" in run.signals for run in runs) else ["cross-track error: there is no course"]
-    return Found(repeats, notes=lacking)
+    row = {
+        "max_a_y": float(np.abs(r79_acceleration(run.t, run["a_y"])).max()),
+        "max_jerk": float(np.abs(r79_jerk(run.t, run["a_y"])).max()),
+        "max_wheel_rate": float(np.abs(np.diff(run["delta_sw"])).max() / run.dt),
+    }
+    if "e" in run.signals:
+        row |= {"max_e": float(np.abs(run["e"]).max()), "rms_e": rms(run["e"])}
+    yield row
 
 
-_EVALUATED: Mapping[str, Callable[[Manoeuvre, list[Run], Vehicle], Found]] = {
-    "steady": _steady,
+OF_EACH: Mapping[str, Callable[[Manoeuvre, Run, Vehicle], Iterator[Row]]] = {
     "step": _step,
     "sine": _sine,
-    "frequency": _frequency,
     "on-centre": _on_centre,
     "transition": _transition,
     "dwell": _dwell,
     "request": _request,
     "course": _course,
 }
+"""Evaluations of one run, whose repeats make the interval ..."""
+OF_ALL: Mapping[str, Callable[[Manoeuvre, list[Run], Vehicle], Found]] = {"steady": _steady, "frequency": _frequency}
+"""... and of all runs together."""

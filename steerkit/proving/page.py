@@ -6,17 +6,15 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, fields
-from pathlib import Path
 
 from steerkit._support.errors import require
-from steerkit._support.files import File, toml_of, write_text
+from steerkit._support.files import File, write_text
 from steerkit.diagram.units import FACTORS, degrees_of, radians_of
 from steerkit.plots.page import Html, document, html, picture, table
-from steerkit.proving.evaluate import Evaluation, Result
+from steerkit.proving.evaluate import WORDS, Evaluation, Result
 from steerkit.proving.manoeuvre import Manoeuvre
 from steerkit.proving.pictures import coloured, pictures
 
-_WORDS = toml_of(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"), "words.toml")
 _JUDGED = {True: ("passed", "good"), False: ("failed", "bad"), None: ("not judged", "open")}
 _MANY = 12
 """More evaluations than these get a row each."""
@@ -110,7 +108,7 @@ def _said(result: Result) -> str:
 
 
 def _words(quantity: str) -> str:
-    return str(_WORDS["results"].get(quantity, quantity))
+    return str(WORDS["results"].get(quantity, quantity))
 
 
 def _who(e: Evaluation, colour: str) -> Html:
@@ -218,14 +216,14 @@ def _method(m: Manoeuvre) -> Html:
             unit = f.metadata.get("number", ("1",))[0]
             plain = isinstance(value, (int, float))
             listed = (value,) if isinstance(value, str) else () if plain else value
-            text = ", ".join(str(_WORDS["forms"].get(item, item)) for item in listed)
+            text = ", ".join(str(WORDS["forms"].get(item, item)) for item in listed)
             if plain:
                 beside = _beside(value, unit)
                 text = _fixed(_with_unit(value, unit) + (f", {beside}" if beside else ""))
             source = m.sources.get(key, "" if f.default is MISSING else "steerkit's default")
             if "unverified" in source:
                 source = Html(f"<b class=open>unverified</b>: {html(source.rpartition(': ')[2])}")
-            rows.append((_WORDS["settings"].get(key, key), text, source))
+            rows.append((WORDS["settings"].get(key, key), text, source))
     begin = "The input begins at t = 0. " if m.input else ""
     text = f"{begin}Unverified, as the norm's text was not at hand: {len(m.unverified)} of {len(rows)} numbers."
     return Html(f"<p>{html(text)}</p>" + table(("", "value", "source"), rows))

@@ -120,8 +120,7 @@ def _answers(drawn: list[_Drawn]) -> tuple[str, Figure]:
     seconds, levels = drawn[0].of.manoeuvre.seconds, (0.5, 0.9)
 
     def share(run: Run, name: str) -> Array:
-        before = run.between(-1.0, -run.dt)
-        x = run[name] - (run[name][before].mean() if before.any() else 0.0)
+        x = run.about(name)
         return np.asarray(x / x[run.between(seconds - 1.0, seconds)].mean())
 
     figure, panels = _panels(2, drawn, 4.2)

@@ -55,6 +55,11 @@ class Run:
         """The samples from begin to end [s] (n,)."""
         return np.asarray((self.t >= begin - 1e-9) & (self.t <= end + 1e-9))
 
+    def about(self, name: str) -> Array:
+        """A signal less its mean before the input (n,)."""
+        before = self.between(-1.0, -self.dt)
+        return self[name] - (self[name][before].mean() if before.any() else 0.0)
+
 
 def prepared(run: Run, manoeuvre: Manoeuvre) -> Run:
     """A run as it is evaluated: to the left, a_y at the centre of gravity, filtered.
