@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path as FilePath
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 from urllib.parse import quote
 
 import numpy as np
@@ -83,57 +83,47 @@ def reading(path: FilePath) -> Iterator[sqlite3.Connection]:
         yield db
 
 
-@contextmanager
-def writing(path: FilePath) -> Iterator[sqlite3.Connection]:
-    """A connection in one transaction."""
-    with reading(path) as db, transaction(db):
-        yield db
-
-
-def opened(path: FilePath, names: Sequence[str] | None, *, create: bool) -> tuple[str, ...]:
-    """The names of the store at `path`, checked to be one of ours and whole; a missing one is made if `create`."""
-    new = not path.exists() or path.stat().st_size == 0
-    if new and not create:
-        raise StoreError(f"{path}: there is no store; make one with TransitionStore(path, run='a label')")
-    if new:
+def opened(path: FilePath, names: Sequence[str] | None, run: str | None) -> tuple[str, ...]:
+    """The names of the store at `path`, checked to be ours, whole and of that run; a missing one is made for a run."""
+    if not path.exists() or path.stat().st_size == 0:
+        if run is None:
+            raise StoreError(f"{path}: there is no store; make one with TransitionStore(path, run='a label')")
         path.touch()
     with reading(path) as db:
-        numbers = {name: db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")}
-        tables = {row[0] for row in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        blank = not tables and not any(numbers.values())  # also: killed while it was being made
-        if not blank:
-            if numbers["application_id"] != APPLICATION:
-                raise StoreError(f"{path}: an SQLite file of another program, not a transition store")
-            schema = numbers["user_version"]
+
+        def value(query: str) -> Any:
+            return db.execute(query).fetchone()[0]
+
+        application, schema = value("PRAGMA application_id"), value("PRAGMA user_version")
+        if not (application or schema or value("SELECT count(*) FROM sqlite_master")):  # also: killed in the making
+            if run is None:
+                raise StoreError(f"{path}: an empty file, not a transition store")
+            if value("PRAGMA journal_mode = WAL") != "wal":
+                raise StoreError(f"{path}: no write-ahead log on this file system; use a local disk")
+            with transaction(db):
+                for query in (f"PRAGMA application_id = {APPLICATION}", f"PRAGMA user_version = {SCHEMA}", *TABLES):
+                    db.execute(query)
+                columns = json.dumps(tuple(names or StateDescription().names))
+                db.execute("INSERT OR IGNORE INTO meta VALUES ('names', ?)", (columns,))
+        elif application != APPLICATION:
+            raise StoreError(f"{path}: an SQLite file of another program, not a transition store")
+        elif schema != SCHEMA:
             reason = "a newer steerkit wrote it, update yours" if schema > SCHEMA else "use a new file"
-            if schema != SCHEMA:
-                raise StoreError(f"{path}: schema {schema}, expected {SCHEMA}: {reason}")
-            check = db.execute("PRAGMA quick_check(1)").fetchone()[0]
-            if check != "ok":
-                raise StoreError(f"{path}: damaged ({check}); use a copy, or a new file")
-    if blank and not create:
-        raise StoreError(f"{path}: an empty file, not a transition store")
-    if blank:
-        _create(path, tuple(names or StateDescription().names))
-    with reading(path) as db:
-        (text,) = db.execute("SELECT value FROM meta WHERE key = 'names'").fetchone()
-    columns = tuple(json.loads(text))
-    if names is not None and tuple(names) != columns:
-        raise StoreError(f"{path}: holds the columns {', '.join(columns)}, expected {', '.join(names)}; use a new file")
-    return columns
-
-
-def _create(path: FilePath, names: tuple[str, ...]) -> None:
-    with reading(path) as db:
-        (mode,) = db.execute("PRAGMA journal_mode = WAL").fetchone()
-    if mode != "wal":
-        raise StoreError(f"{path}: no write-ahead log on this file system; use a local disk")
-    with writing(path) as db:
-        db.execute(f"PRAGMA application_id = {APPLICATION}")
-        db.execute(f"PRAGMA user_version = {SCHEMA}")
-        for table in TABLES:
-            db.execute(table)
-        db.execute("INSERT OR IGNORE INTO meta VALUES ('names', ?)", (json.dumps(names),))
+            raise StoreError(f"{path}: schema {schema}, expected {SCHEMA}: {reason}")
+        elif (check := value("PRAGMA quick_check(1)")) != "ok":
+            raise StoreError(f"{path}: damaged ({check}); use a copy, or a new file")
+        kept = tuple(json.loads(value("SELECT value FROM meta WHERE key = 'names'")))
+        if names is not None and tuple(names) != kept:
+            raise StoreError(
+                f"{path}: holds the columns {', '.join(kept)}, expected {', '.join(names)}; use a new file"
+            )
+        if run is not None:
+            with transaction(db):
+                db.execute("INSERT OR IGNORE INTO run VALUES (?, ?)", (RUN, run))
+        held = dict(db.execute("SELECT id, label FROM run"))
+    if held != {RUN: run} and (run is not None or len(held) > 1):
+        raise StoreError(f"{path}: holds the runs {[*held.values()]}, expected {run or 'one'}; use a new file")
+    return kept
 
 
 def checksum(episode: int, numbers: bytes) -> int:
@@ -162,16 +152,9 @@ class TransitionStore:
 
     def __init__(self, path: Path, *, run: str | None = None, names: Sequence[str] | None = None):
         self.path, self.run = FilePath(path), run
-        self.names = opened(self.path, names, create=run is not None)
+        self.names = opened(self.path, names, run)
         self._pack = struct.Struct(f"<{2 * len(self.names) + 2}d").pack
         self._writer: _Writer | None = None
-        if run is not None:
-            with writing(self.path) as db:
-                db.execute("INSERT OR IGNORE INTO run VALUES (?, ?)", (RUN, run))
-        with reading(self.path) as db:
-            held = dict(db.execute("SELECT id, label FROM run"))
-        if held != {RUN: run} and (run is not None or len(held) > 1):
-            raise StoreError(f"{path}: holds the runs {[*held.values()]}, expected {run or 'one'}; use a new file")
         if run is not None:
             self._writer = _Writer(self.path)
             self._end = weakref.finalize(self, _Writer.end, self._writer)  # also when the program ends unclosed
