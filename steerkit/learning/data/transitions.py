@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -28,45 +29,29 @@ class Transitions:
     ValueError. rows: what is recorded at first, as for `extend`.
     """
 
+    s: NDArray[np.float64]
+    """States (n, columns)."""
+    a: NDArray[np.float64]
+    """Actions (n,) [rad]."""
+    s_next: NDArray[np.float64]
+    """States one sample later (n, columns)."""
+    episode: NDArray[np.int64]
+    """Episode numbers (n,)."""
+    own: NDArray[np.bool_]
+    """Did the learner steer (n,)?"""
+
     def __init__(self, names: Sequence[str] = StateDescription().names, *rows: ArrayLike):
         require(len(names) > 0, "Transitions", "names is empty, expected the state's columns")
-        self.names = tuple(names)
-        self._n = 0
-        self._s, self._s_next = np.empty((256, len(self.names))), np.empty((256, len(self.names)))
-        self._a, self._episode, self._own = np.empty(256), np.empty(256, dtype=np.int64), np.empty(256, dtype=bool)
-        if rows:
-            self.extend(*rows)
+        self.names, none = tuple(names), np.empty((0, len(names)))
+        self._kept = {"s": none, "a": none[:, 0], "s_next": none, "episode": none[:, 0].astype(np.int64)}
+        self._kept["own"] = none[:, 0].astype(bool)
+        self.extend(*rows or (none, (), none, ()))
 
     def __len__(self) -> int:
-        return self._n
+        return len(self.a)
 
     def __repr__(self) -> str:
-        return f"Transitions({self._n} rows, {len(np.unique(self.episode))} episodes of {', '.join(self.names)})"
-
-    @property
-    def s(self) -> NDArray[np.float64]:
-        """States (n, columns)."""
-        return self._view(self._s)
-
-    @property
-    def a(self) -> NDArray[np.float64]:
-        """Actions (n,) [rad]."""
-        return self._view(self._a)
-
-    @property
-    def s_next(self) -> NDArray[np.float64]:
-        """States one sample later (n, columns)."""
-        return self._view(self._s_next)
-
-    @property
-    def episode(self) -> NDArray[np.int64]:
-        """Episode numbers (n,)."""
-        return self._view(self._episode)
-
-    @property
-    def own(self) -> NDArray[np.bool_]:
-        """Did the learner steer (n,)?"""
-        return self._view(self._own)
+        return f"Transitions({len(self)} rows, {len(np.unique(self.episode))} episodes of {', '.join(self.names)})"
 
     def append(self, s: ArrayLike, a: float, s_next: ArrayLike, episode: int, own: bool = True) -> None:
         """Record one transition; raises ValueError for a wrong length or a non-finite number."""
@@ -84,29 +69,28 @@ class Transitions:
                 fault = f"{name}.{self.names[column]} = {rows[row, column]} in row {row}, expected a finite number"
                 raise ValueError(f"Transitions: {fault}; end the episode before the faulty sample")
         require(bool(np.isfinite(a).all()), "Transitions", f"a = {a[~np.isfinite(a)][:1]} [rad], expected finite")
-        end = self._n + n
-        if end > len(self._a):
-            for name in ("_s", "_a", "_s_next", "_episode", "_own"):
-                old = getattr(self, name)
-                new = np.empty((max(end, 2 * len(old)), *old.shape[1:]), dtype=old.dtype)
-                new[: self._n] = old[: self._n]
-                setattr(self, name, new)
-        rows_now = slice(self._n, end)
-        self._s[rows_now], self._a[rows_now], self._s_next[rows_now] = s, a, s_next
-        self._episode[rows_now], self._own[rows_now] = episode, own
-        self._n = end
+        begin = len(getattr(self, "a", ()))
+        end, each = begin + n, [np.broadcast_to(values, n) for values in (episode, own)]
+        for name, rows in zip(self._kept, (s, a, s_next, *each)):
+            kept = self._kept[name]
+            if end > len(kept):
+                kept = np.empty((max(end, 2 * begin, 256), *kept.shape[1:]), dtype=kept.dtype)
+                kept[:begin] = self._kept[name][:begin]
+                self._kept[name] = kept
+            kept[begin:end] = rows
+            view = kept[:end]
+            view.flags.writeable = False
+            setattr(self, name, view)
 
     def frozen(self) -> Transitions:
         """The rows of this moment, without a copy: recorded rows never change."""
-        same = Transitions(self.names)
-        same._n, same._s, same._a, same._s_next = self._n, self.s, self.a, self.s_next
-        same._episode, same._own = self.episode, self.own
+        same = copy.copy(self)
+        same._kept = {name: getattr(self, name) for name in self._kept}
         return same
 
     def part(self, rows: slice | NDArray[Any]) -> Transitions:
         """Those rows alone, copied."""
-        kept = (self.s, self.a, self.s_next, self.episode, self.own)
-        return Transitions(self.names, *(values[rows] for values in kept))
+        return Transitions(self.names, *(getattr(self, name)[rows] for name in self._kept))
 
     def to_pandas(self) -> pd.DataFrame:
         """A row a transition, in SI: s by its columns' names, a, s_next with `next_` before them, episode, own.
@@ -120,8 +104,7 @@ class Transitions:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything to one .npz file (no pickle)."""
-        kept = {name: getattr(self, name) for name in ("names", "s", "a", "s_next", "episode", "own")}
-        write_arrays(path, "transitions", kept)
+        write_arrays(path, "transitions", {name: getattr(self, name) for name in ("names", *self._kept)})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Transitions:
@@ -131,8 +114,3 @@ class Transitions:
             return cls(f["names"].tolist(), f["s"], f["a"], f["s_next"], f["episode"], f["own"])
         except (ValueError, TypeError, KeyError) as why:
             raise ValueError(f"{path}: the transitions in it do not hold together: {why}") from why
-
-    def _view(self, array: NDArray[Any]) -> NDArray[Any]:
-        view = array[: self._n]
-        view.flags.writeable = False
-        return view

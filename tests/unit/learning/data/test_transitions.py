@@ -106,3 +106,10 @@ def test_foreign_files_are_named(tmp_path: Path) -> None:
         Transitions.load(file)
     with pytest.raises(FileNotFoundError):
         Transitions.load(tmp_path / "nothing.npz")
+
+
+def test_a_wrong_number_of_episodes_leaves_nothing() -> None:
+    record = filled(3)
+    with pytest.raises(ValueError, match="broadcast"):
+        record.extend(np.ones((2, 6)), np.ones(2), np.ones((2, 6)), [1, 2, 3])
+    assert [len(getattr(record, name)) for name in ("s", "a", "s_next", "episode", "own")] == [3] * 5
