@@ -133,10 +133,13 @@ _WIDE = (b"\xff\xfe", b"\xfe\xff")
 def read_text(file: File, where: str, *, latin: bool = False) -> str:
     """The text of a file in UTF-8 or UTF-16, without the byte-order mark that some programs put before it.
 
-    latin: read it as Latin-1 where it is not. Raises ValueError, in the name of `where`, for what is no such text,
-    saying what it looks like; else as `opened`.
+    latin: read it as Latin-1 where it is not. Raises ValueError, in the name of `where`, for a file that cannot be
+    read, and for what is no such text, saying what it looks like.
     """
-    data = read_bytes(file, LARGEST_TEXT)
+    try:
+        data = read_bytes(file, LARGEST_TEXT)
+    except OSError as error:
+        raise ValueError(f"{where}: {file} cannot be read ({error.strerror})") from error
     known, wide = _no_text(data), data.startswith(_WIDE)
     what = known or ("binary" if b"\0" in data and not wide else "")
     require(not what, where, f"{file} is {what}, expected text in UTF-8" if not known else f"{file} is {known}")
@@ -179,10 +182,7 @@ def decoded(stream: Any) -> Iterator[str]:
 
 def read_toml(file: File, where: str) -> dict[str, Any]:
     """What a TOML file holds; raises ValueError, in the name of `where`, for one that cannot be read or is no TOML."""
-    try:
-        return toml_of(read_text(file, where), where)
-    except OSError as error:
-        raise ValueError(f"{where}: cannot be read ({error.strerror}), expected a TOML file") from error
+    return toml_of(read_text(file, where), where)
 
 
 def toml_of(text: str, where: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit._support.errors import known, require
-from steerkit._support.files import read_bytes, write_text
+from steerkit._support.files import read_bytes, read_text, write_text
 from steerkit.car import loop as loops
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
@@ -26,7 +26,7 @@ from steerkit.estimators.estimate import Estimated
 from steerkit.paths.path import Path
 from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.task import DT
-from steerkit.vehicles.file import text_of, vehicle_text
+from steerkit.vehicles.file import vehicle_text
 
 SHARES = {"sine": 0.25, "steps": 0.25, "bends": 0.5}
 """Of the driving time, by wave, in this order."""
@@ -195,7 +195,7 @@ def check_place(out: FilePath) -> None:
     require(out.suffix == ".toml", f"--out {out}", "a vehicle file ends in .toml")
     require(out.absolute().parent.is_dir(), f"--out {out}", f"there is no folder {out.absolute().parent}")
     if out.exists():
-        known_in(text_of(out), f"--out {out}")
+        known_in(read_text(out, "vehicle"), f"--out {out}")
 
 
 def of_recording(recording: FilePath) -> Calibrated:
@@ -222,7 +222,7 @@ def from_recording(recording: FilePath, out: FilePath, *, say: bool = True) -> d
     """
     made = of_recording(recording)
     if out.exists():
-        made = replace(made, before=known_in(text_of(out), f"{out}"))
+        made = replace(made, before=known_in(read_text(out, "vehicle"), f"{out}"))
     if say:
         print("\n".join(report(made.found, made.before)))
     if not made.learned:

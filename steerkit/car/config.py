@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import Field, asdict, dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.resources import files
 from pathlib import Path as File
 from typing import Any
@@ -31,7 +31,7 @@ from steerkit.diagram.units import FACTORS, degrees_of, radians_of
 from steerkit.paths.courses import course
 from steerkit.paths.path import Path
 from steerkit.vehicles import Vehicle, vehicle
-from steerkit.vehicles.file import text_of, vehicle_of
+from steerkit.vehicles.file import vehicle_of
 
 FORMAT = "steerkit car 1"
 TABLES = (
@@ -386,7 +386,7 @@ def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
     try:
         text = read_text(path, "car")
         data = toml_of(text, "car")
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise ConfigError(f"{path}: cannot be read as TOML ({in_one_line(error)})") from error
     for name in ("can", "cantools"):
         if importlib.util.find_spec(name) is None:
@@ -534,7 +534,7 @@ class Reading:
         with self.noted("[vehicle] name: "):
             if not name.endswith(".toml"):
                 return vehicle(name), ""
-            return vehicle_of(self.text(name, text_of), name), name
+            return vehicle_of(self.text(name, partial(read_text, where="vehicle")), name), name
         return vehicle("vw-passat"), ""
 
     def course(self) -> dict[str, Any]:
@@ -545,7 +545,7 @@ class Reading:
             return {"name": self.entry("course", table, "name", str)}
         name, closed = (self.entry("course", table, key, kind) for key, kind in (("file", str), ("closed", bool)))
         with self.noted(f"[course] file = {name!r}: "):
-            text = self.text(name, lambda place: read_text(place, "course", latin=True))
+            text = self.text(name, partial(read_text, where="course", latin=True))
             return {"file": name, "path": Path.from_csv(name, closed=closed, text=text)}
         return {}
 

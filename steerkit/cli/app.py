@@ -12,40 +12,11 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 import steerkit
+from steerkit.cli import WORDS
 
-COMMANDS = {
-    "courses": ("steerkit.cli.lists", "List the courses; or what a map's FILE holds, and make a course of it."),
-    "vehicles": ("steerkit.cli.lists", "List the cars: those by name, and the fleet of production cars."),
-    "new": ("steerkit.cli.new", "Write a controller, vehicle, course, plant or scenario to begin with."),
-    "drive": ("steerkit.cli.drive", "Drive with any controller: a course in simulation, or with --car FILE a car."),
-    "sweep": ("steerkit.cli.sweep", "Drive with hundreds of values of a controller's or a car's parameters at once."),
-    "learn": ("steerkit.cli.learn", "Let a car learn to steer a course from nothing."),
-    "show": ("steerkit.cli.learn", "Show a learning run: counts, episodes, learned against Stanley, and its pictures."),
-    "demo": ("steerkit.cli.demo", "Learn on the 800 m course and on a real recorded lap; compare with Stanley."),
-    "log": ("steerkit.cli.log", "Show what is in a log: its channels, what each is read as, and the drive they make."),
-    "plot": ("steerkit.cli.log", "Plot signals of a log over time."),
-    "prove": ("steerkit.cli.prove", "Manoeuvres of vehicle testing: drive one, find it in a log, judge it."),
-    "identify": ("steerkit.cli.identify", "Estimate a car's steering and cornering stiffness from a recorded drive."),
-    "resimulate": ("steerkit.cli.resimulate", "Drive a recorded drive again in simulation, with another controller."),
-    "export": ("steerkit.cli.export", "Export a learning run, a log or a car for other programs."),
-    "car": ("steerkit.cli.car", "A car on a CAN bus: check its configuration, simulate one, look into recordings."),
-    "bench": ("benchmarks.app", "Learned against analytic steering controllers, in numbers."),
-}
+COMMANDS: dict[str, list[str]] = WORDS["commands"]
 """Module and one line of help of every command: the function of its name there, or the group `app`."""
-EPILOG = """
-Examples
-
-  steerkit courses                            what can be driven\n
-  steerkit vehicles toyota                    with which cars\n
-  steerkit drive stanley --course genesis     a controller on a course\n
-  steerkit learn --minutes 2 --out runs/mine  a car learns; the run is kept\n
-  steerkit show runs/mine                     what it came to, and its pictures\n
-  steerkit log lap.mcap                       what is in a log of any program\n
-  steerkit drive runs/mine -q --json          its figures, for a program\n
-
-Exit codes: 0 done; 1 refused or failed on the way; 2 a mistake in what was asked, said in one line on stderr;
-130 interrupted. NO_COLOR=1 leaves out colours. Completion for your shell: steerkit --install-completion.
-"""
+EPILOG: str = WORDS["help"]["epilog"]
 
 
 class LazyGroup(TyperGroup):

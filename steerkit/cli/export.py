@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from steerkit._support.files import write_text
+from steerkit._support.files import read_text, write_text
 from steerkit.cli.log import record_of
 from steerkit.cli.options import written
 from steerkit.controllers.network_policy import PolicyBlock
@@ -23,7 +23,7 @@ from steerkit.logs.foxglove import layout as write_layout
 from steerkit.logs.foxglove import to_mcap
 from steerkit.logs.tables import write_mf4
 from steerkit.vehicles import vehicle
-from steerkit.vehicles.file import tables_of, text_of
+from steerkit.vehicles.file import tables_of
 
 LAYOUTS = {".json": "foxglove", ".xml": "plotjuggler"}
 
@@ -82,7 +82,7 @@ def _car(file: Path, yaml: Path | None, row: Path | None) -> None:
     if yaml is not None:
         write_text(yaml, cars.commonroad(car))
     if row is not None:
-        known = tables_of(text_of(file), str(file)).get("steering", {}) if file.suffix == ".toml" else {}
+        known = tables_of(read_text(file, "vehicle"), str(file)).get("steering", {}) if file.suffix == ".toml" else {}
         delay = known["delay"] + known["lag"] if {"delay", "lag"} <= known.keys() else None
         write_text(row, json.dumps(cars.opendbc(car, delay=delay), indent=1) + "\n")
 

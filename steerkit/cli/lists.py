@@ -12,6 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from steerkit.cli import WORDS
 from steerkit.cli.options import Machine, Picture, written
 from steerkit.paths import importers
 from steerkit.paths.courses import course, names
@@ -22,16 +23,7 @@ from steerkit.vehicles import VEHICLES, Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
 from steerkit.vehicles.fleet import FleetCar
 
-ALSO = {
-    "random-7": "a random course by its seed: 500 m, radii of 10 m and more",
-    "sweeping-7": "one with wide bends by its seed: 2 km, radii of 100 m and more",
-    "FILE.csv": "a course of your own: columns x, y [m] or lat, lon [degrees]",
-    "FILE.gpx": "a recorded track; lap.gpx#noise=0.5 says how good its positions are [m]",
-    "FILE.geojson": "a line that was drawn: site.geojson#feature=yard",
-    "FILE.xodr": "OpenDRIVE: town.xodr#road=1,lane=-1,to=5",
-    "FILE.xml": "CommonRoad: crossing.xml#lanelet=17,to=42",
-    "FILE.osm": "Lanelet2 or plain OSM: town.osm#way=123,to=456",
-}
+ALSO: dict[str, str] = WORDS["courses"]
 """What else can be named, and what it is."""
 
 

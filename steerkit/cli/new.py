@@ -10,18 +10,9 @@ import typer
 
 from steerkit._support.errors import known, require
 from steerkit._support.files import write_text
+from steerkit.cli import WORDS
 
-_FILES = {
-    "controller": ("controller.py.txt", "steerkit drive {0}:make stanley"),
-    "agent": ("agent.py.txt", "python {0} 0, then steerkit drive {0}:make stanley"),
-    "vehicle": ("vehicle.toml", "steerkit drive stanley --vehicle {0}"),
-    "course": ("course.csv", "steerkit courses {0}"),
-    "plant": (
-        "plant.py.txt",
-        "name it in a scenario (steerkit new scenario), and: steerkit --code {0} drive stanley --scenario FILE",
-    ),
-    "scenario": ("scenario.toml", "steerkit drive stanley --scenario {0}"),
-}
+_FILES: dict[str, list[str]] = WORDS["new"]
 """By kind: its file among the templates, and what to call with it."""
 
 

@@ -15,8 +15,10 @@ import typer
 
 from steerkit._support.console import console
 from steerkit._support.errors import known, require
+from steerkit._support.files import read_text
+from steerkit.cli import WORDS
 from steerkit.scenario import CONDITIONS, Scenario
-from steerkit.scenario.parts import Driver, speed_file
+from steerkit.scenario.parts import Driver, profile_in
 from steerkit.scenario.scenario import read_scenario
 
 SIMULATED, ON_CAR, FROM_LOG = "In simulation", "On a car", "From a log (with --from)"
@@ -165,25 +167,6 @@ def drive_options(command: Callable[..., None]) -> Callable[..., None]:
     return wrapper
 
 
-_NOT_ON_A_CAR = {
-    "course": "the car's file names the course, under [course]",
-    "vehicle": "the car's file names it, under [vehicle]",
-    "scenario_file": "the car's file says where and with what",
-    "estimator": "controllers see what the car's own unit says",
-    "conditions": "a car brings its own noise and delays",
-    "delay": "the car's file holds it, under [kit]",
-    "speed": "who drives sets it",
-    "v_max": "who drives keeps to it",
-    "rounds": "say --minutes, or end with `q`",
-    "config": "an experiment is a simulation; choose --setting",
-    "live": "the panel shows it",
-    "stream": "say `steerkit car stream` in a second terminal",
-    "animate": "a recording holds the drive",
-    "pace": "a car has its own",
-}
-"""Options of the simulation, and what a car has instead."""
-
-
 def given(ctx: typer.Context) -> set[str]:
     """The parameters that stand on the command line."""
     sources = {name: ctx.get_parameter_source(name) for name in ctx.params}
@@ -228,7 +211,7 @@ def _speeds(speed: str, v_max: float | None, base: Scenario | None) -> dict[str,
     except ValueError:
         fields: dict[str, Any] = {"speed": speed}
         if speed.lower().endswith(".csv"):
-            _, v = speed_file(speed)
+            _, v = profile_in(read_text(speed, "speed", latin=True), speed)
             fields |= {"v_min": min(driver.v_min, float(v.min())), "v_max": max(driver.v_max, float(v.max()))}
         if v_max is not None:
             fields |= {"v_max": v_max, "v_min": min(fields.get("v_min", driver.v_min), v_max)}
@@ -269,7 +252,7 @@ def check_options(ctx: typer.Context, not_on_a_car: Mapping[str, str] = MappingP
         if parameter.name not in names:
             continue
         option, panel = parameter.opts[0], getattr(parameter, "rich_help_panel", None)
-        instead = {**_NOT_ON_A_CAR, **not_on_a_car}.get(parameter.name)
+        instead = {**WORDS["not_on_a_car"], **not_on_a_car}.get(parameter.name)
         if car and instead:
             raise ValueError(f"{option} is for simulations: {instead}; leave it out, or leave out --car")
         if panel == ON_CAR and not car:

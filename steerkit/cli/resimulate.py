@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from steerkit._support.errors import require
+from steerkit.cli import WORDS
 from steerkit.cli.log import Columns, Map, column_map
 from steerkit.cli.options import Machine, Picture, Quiet, Report
 from steerkit.cli.page import write_page
@@ -21,16 +22,6 @@ from steerkit.plants.steering_actuator import SteeringActuator, steering_of
 from steerkit.plots.animation import film_writer
 from steerkit.plots.style import save
 from steerkit.vehicles import vehicle as vehicle_named
-
-_BOTH = {
-    "rms_wheel_speed_deg_s": "RMS wheel speed (deg/s)",
-    "max_wheel_deg": "largest wheel angle (deg)",
-    "max_a_y": "largest a_y (m/s^2)",
-    "max_jerk": "largest lateral jerk, over 0.5 s (m/s^3)",
-    "seconds_beyond_a_y": "a_y beyond 3 m/s^2 (s)",
-    "seconds_beyond_jerk": "jerk beyond 5 m/s^3 (s)",
-    "seconds_at_stop": "wheel at its stop (s)",
-}
 
 
 def resimulate(
@@ -94,7 +85,7 @@ def _car(file: str, drive: Any) -> tuple[Any, Any, str]:
 def _report(console: Any, driven: list[Any]) -> None:
     rows = [one.figures() for one in driven]
     table = Table("", "as driven", *(row["controller"] for row in rows), title=f"{rows[0]['drive']}")
-    for key, text in _BOTH.items():
+    for key, text in WORDS["resimulated"].items():
         table.add_row(text, *(f"{value:.2f}" for value in (rows[0]["driven"][key], *(r["again"][key] for r in rows))))
     for key, text in (
         ("rms_differs_deg", "differs from the driven (deg RMS)"),

@@ -9,6 +9,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from steerkit._support.errors import number, require, whole_samples
+from steerkit._support.files import read_text
 from steerkit._support.random import seed_state, uniform
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
@@ -16,7 +17,7 @@ from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
 from steerkit.vehicles import Vehicle
-from steerkit.vehicles.file import table_of, text_of
+from steerkit.vehicles.file import table_of
 from steerkit.vehicles.rollout import lag_share, lag_step
 
 _SLOWEST = 1.0  # m/s: below, a wheel steered by torque turns as at this speed
@@ -177,7 +178,7 @@ def steering_of(file: str | FilePath, *, text: str | None = None, dt: float = 0.
     others: more fields of `SteeringActuator`. Raises ValueError for a broken file.
     """
     where = f"{file}"
-    table = table_of(text_of(file) if text is None else text, "steering", where)
+    table = table_of(read_text(file, "vehicle") if text is None else text, "steering", where)
     for key in ("delay", "lag", "offset"):
         require(isinstance(table.get(key), (int, float)), where, f"[steering] {key}, expected a number")
     rest = table["delay"] - dt

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Collection, Iterable
 from dataclasses import replace
+from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
 from steerkit._support.errors import WiringError
@@ -155,21 +157,7 @@ def steering_loop(
     return Loop(blocks=bench.blocks, wires=bench.wires)
 
 
-_EXAMPLES = {
-    "car": "NonlinearSingleTrack(vehicle=vehicle('vw-passat'))",
-    "driver": "SpeedDriver(), or ConstantSpeed(speed=5.0) of steerkit.plants.speed_driver",
-    "controller": "Stanley.of(vehicle('vw-passat')); by name: steerkit.scenario.catalogue.make_controller",
-    "doe": "Integrator()",
-    "recovery": "Stanley.of(vehicle('vw-passat'))",
-    "supervisor": "Supervisor()",
-    "foresight": "ExcursionPredictor(...)",
-    "safety": "SafetyFilter.of(vehicle('vw-passat'))",
-    "link": "SteeringLink()",
-    "actuator": "SteeringActuator(lag=0.12)",
-    "column": "SteeringColumn(play=0.02)",
-    "sensors": "Sensors.hard(0)",
-    "estimator": "VehicleState.of(NonlinearSingleTrack(vehicle=vehicle('vw-passat')))",
-}
+_EXAMPLES: dict[str, str] = tomllib.loads(FilePath(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 """What would do for a part of the loop."""
 
 

@@ -106,10 +106,7 @@ class Part:
         """Read the file that is named, unless its text is known, and keep the text and the name without folders."""
         given, text = str(getattr(self, self.file)), getattr(self, "text")  # noqa: B009
         if text is None and given.lower().endswith(suffix):
-            try:
-                object.__setattr__(self, "text", read_text(FilePath(given), self.table, latin=suffix == ".csv"))
-            except OSError as error:
-                raise ValueError(f"{self.table} {given} cannot be read ({error.strerror})") from error
+            object.__setattr__(self, "text", read_text(given, self.table, latin=suffix == ".csv"))
             object.__setattr__(self, self.file, FilePath(given).name)
 
 
@@ -480,14 +477,6 @@ def _path(name: str, closed: bool | None, text: str | None, v_max: float) -> Pat
 
 
 _vehicle = lru_cache(maxsize=32)(vehicle_of)
-
-
-def speed_file(file: str) -> tuple[Array, Array]:
-    """s [m] and v [m/s] in a CSV file; raises ValueError for one that cannot be read or is none."""
-    try:
-        return profile_in(read_text(file, "speed", latin=True), file)
-    except OSError as error:
-        raise ValueError(f"speed {file} cannot be read ({error.strerror}), expected a CSV file: s, v") from error
 
 
 def profile_in(text: str, name: str) -> tuple[Array, Array]:

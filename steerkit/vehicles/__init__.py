@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 
 from steerkit._support.errors import nearest
-from steerkit.vehicles.file import text_of, vehicle_of
+from steerkit._support.files import read_text
+from steerkit.vehicles.file import vehicle_of
 from steerkit.vehicles.fleet import FleetCar, drawn_car, fleet
 from steerkit.vehicles.parameters import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, G, Vehicle, require_vehicle, scaled
 
@@ -34,7 +35,7 @@ def vehicle(name: str) -> Vehicle:
     ValueError otherwise, with the nearest name.
     """
     if name.endswith(".toml"):
-        return vehicle_of(text_of(name), name)
+        return vehicle_of(read_text(name, "vehicle"), name)
     key = name.strip().lower().replace("_", "-").replace(" ", "-")
     if key in VEHICLES:
         return VEHICLES[key]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from steerkit._support.errors import require
-from steerkit._support.files import read_text, toml_of
+from steerkit._support.files import toml_of
 from steerkit.vehicles.parameters import Vehicle
 
 FORMAT = "steerkit vehicle 1"
@@ -60,14 +59,6 @@ def _value(value: Any) -> str:
     if isinstance(value, str | bool):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return repr(float(value))
-
-
-def text_of(file: str | Path) -> str:
-    """The text of a vehicle file; raises ValueError when it cannot be read."""
-    try:
-        return read_text(file, "vehicle")
-    except OSError as error:
-        raise ValueError(f"vehicle: {file} cannot be read ({error.strerror}); a name or a vehicle file") from error
 
 
 def table_of(text: str, name: str, where: str) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +17,6 @@ from steerkit.task import A_Y_MAX
 Bend = tuple[float, float, float, float]
 """Straight before the bend [m], turn [degrees, + = left], tightest radius [m], length of its ramps [m]."""
 
-_PAPER: tuple[Bend, ...] = (
-    (67.3, 90.0, 16.0, 16.0),
-    (37.4, 90.0, 10.0, 14.0),
-    (23.7, -180.0, 8.0, 14.0),
-    (67.3, 180.0, 5.9, 14.0),
-    (17.7, -60.0, 20.0, 18.0),
-    (23.3, 120.0, 18.0, 18.0),
-    (1.4, -70.0, 24.0, 20.0),
-    (19.4, 100.0, 14.0, 16.0),
-    (11.6, -60.0, 15.0, 14.0),
-    (2.5, 60.0, 15.0, 14.0),
-    (20.6, 90.0, 20.0, 18.0),
-    (67.3, 0.0, 1.0, 0.0),
-)
-
 
 def paper() -> Path:
     """A closed course like that of the NFQ steering experiments: 795 m, seven left and four right bends.
@@ -39,7 +25,8 @@ def paper() -> Path:
     slip; at 4 m/s there, a_y = 2.7 m/s^2. About 130 s a round at 4 to 7.5 m/s. Stretches stay 12.9 m apart.
     Source: designed to the figures that the experiment states; its true map is not published.
     """
-    return bends(_PAPER, spacing=0.5, name="paper")
+    plan = np.loadtxt(str(files(__package__) / "paper.csv"), delimiter=",").tolist()
+    return bends(plan, spacing=0.5, name="paper")
 
 
 def circle(radius: float = 30.0, *, name: str = "circle") -> Path:

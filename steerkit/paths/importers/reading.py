@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import known, require
-from steerkit._support.files import opened, refuse_workbook
+from steerkit._support.files import opened, read_text, refuse_workbook
 from steerkit.paths.importers import lanelets, tracks
 from steerkit.paths.importers.course import TIGHTEST, Course, Line, along, laid, path_in
 from steerkit.paths.importers.network import Map, Piece
@@ -140,7 +140,7 @@ def read_course(address: str, *, tightest: float = TIGHTEST, closed: bool | None
 
 def _exact(file: str, closed: bool | None) -> Course:
     """The course through the points of a CSV file."""
-    text, bad = tracks.text_of(file), dict[int, str]()
+    text, bad = read_text(file, "course", latin=True), dict[int, str]()
     columns = read_columns(text, file, bad)
     path = path_in(text, columns, FilePath(file).name, closed)
     s = travelled(placed(columns, file)[0])

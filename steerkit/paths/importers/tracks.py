@@ -268,17 +268,9 @@ def _place(point: Any, flat: bool) -> list[float]:
     return point[:2] if flat else point[1::-1]
 
 
-def text_of(file: str) -> str:
-    """The text of a CSV file; raises ValueError for one that cannot be read, or holds none."""
-    try:
-        return read_text(file, "course", latin=True)
-    except OSError as error:
-        raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
-
-
 def csv(file: str) -> list[Track]:
     """The points of a CSV file with columns x, y [m] or lat, lon [degrees], and t [s], v [m/s] where there are any."""
-    text, bad = text_of(file), dict[int, str]()
+    text, bad = read_text(file, "course", latin=True), dict[int, str]()
     columns = read_columns(text, file, bad)
     flat = {"x", "y"} <= columns.keys()
     require(flat or {"lat", "lon"} <= columns.keys(), file, f"columns {', '.join(columns)}; valid: x, y or lat, lon")

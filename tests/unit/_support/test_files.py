@@ -207,7 +207,7 @@ def test_a_toml_file_is_read_or_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "b.toml").write_text("a = = 1\n")
     with pytest.raises(ValueError, match=r"^test: not TOML .*line 1"):
         files.read_toml(tmp_path / "b.toml", "test")
-    with pytest.raises(ValueError, match=r"^test: cannot be read .No such file or directory., expected a TOML file$"):
+    with pytest.raises(ValueError, match=r"^test: .* cannot be read .No such file or directory.$"):
         files.read_toml(tmp_path / "c.toml", "test")
 
 

@@ -13,8 +13,8 @@ import pytest
 from rich import markup
 
 import steerkit
+from steerkit.cli import WORDS, demo
 from steerkit.cli import app as command_line
-from steerkit.cli import demo
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.learning.experiment import Experiment
@@ -197,3 +197,13 @@ def test_an_interrupt_inside_code_made_from_text_ends_with_130_too(tmp_path: Pat
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120.0)
     assert done.returncode == 130, done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_each_option_that_a_car_has_no_use_for_is_one_of_a_simulation() -> None:
+    simulated = {
+        parameter.name
+        for name in ("drive", "learn")
+        for parameter in command_line.loaded(name).params
+        if getattr(parameter, "rich_help_panel", None) == "In simulation"
+    }
+    assert WORDS["not_on_a_car"].keys() <= simulated

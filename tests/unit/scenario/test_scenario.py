@@ -33,7 +33,7 @@ HEAD = f'format = "{FORMAT}"\n'
         ({"course": {"closed": "yes"}}, "course: closed = 'yes', expected true or false, or nothing"),
         ({"knowledge": {"oracle": 1}}, "knowledge: oracle = 1, expected true or false"),
         ({"course": "papr"}, r"scenario 'x': course 'papr' is not known \(did you mean 'paper'\?\).*FILE.csv"),
-        ({"course": "no.csv"}, "course no.csv cannot be read"),
+        ({"course": "no.csv"}, "course: no.csv cannot be read"),
         ({"course": {"closed": True}}, "course: closed = True is only for a course from a file"),
         ({"course": {"start": 900.0}}, r"course: start = 900.0 \[m\].*the course's length"),
         ({"course": {"nam": "paper"}}, "course: no field 'nam'; valid: name, closed, start, rounds"),
@@ -263,10 +263,10 @@ def test_files_are_looked_for_beside_the_scenarios_own(given: str, tmp_path: Fil
         (HEAD + "lag = 0.1\n", "s.toml: a scenario has no field 'lag'; it is a field of steering and knowledge"),
         (HEAD + "[steering]\nlagg = 0.1\n", "s.toml: scenario: steering: no field 'lagg'; valid: command"),
         (HEAD + "[steering]\nlag = -0.1\n", r"s.toml: scenario: steering: lag = -0.1 \[s\], expected 0 to"),
-        (HEAD + 'course = "no.csv"\n', "s.toml: scenario: course .*no.csv cannot be read"),
+        (HEAD + 'course = "no.csv"\n', "s.toml: scenario: course: .*no.csv cannot be read"),
         (HEAD + "steering = 3\n", "steering: 3, expected a table of command"),
         (HEAD + "lag = \n", "s.toml: not TOML"),
-        (None, "s.toml: cannot be read"),
+        (None, "s.toml cannot be read"),
     ],
 )
 def test_mistakes_in_a_file_name_file_key_and_valid_keys(text: str | None, message: str, tmp_path: FilePath) -> None:
