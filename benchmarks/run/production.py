@@ -9,7 +9,7 @@ from typing import Any
 from benchmarks.judges.opendbc_safety import SafetyJudge
 from steerkit._support.files import toml_of
 from steerkit.car import core, protocol
-from steerkit.car.config import CarConfig, Reading, course_of, shipped
+from steerkit.car.config import CarConfig, Reading, shipped
 from steerkit.car.core import Core, Event, Link, Note, Packet, Reply, Send, Tick
 from steerkit.car.production.car_frames import CarFrames
 from steerkit.car.production.platforms import platform
@@ -101,7 +101,7 @@ class ProductionWorld:
     def __init__(
         self, config: CarConfig, path: Path | None = None, *, judged: bool = True, dt: float = DT, **more: Any
     ):
-        self.config, self.path, self.dt = config, path or course_of(config), dt
+        self.config, self.path, self.dt = config, path or config.course, dt
         self.judge = SafetyJudge(platform(config.port)) if judged else None
         self.car = self.made(**more)
         self.core = Core(config, self.path)

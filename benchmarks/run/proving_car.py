@@ -338,7 +338,7 @@ def _ended_after(child: subprocess.Popen[str], seconds: float) -> Any:
 def prove(file: str, socket: str, name: str, car: str) -> None:
     """The process that is the controller: it proves, and says when a run has lasted for a while."""
     config, (v, base, _) = load(file), CARS[car]
-    path = config.course["path"]
+    path = config.course
     with CarClient(socket) as link:
         link.wait(timeout=20.0)
         wanted = fitting(name, config, v)

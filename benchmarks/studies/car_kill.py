@@ -32,7 +32,7 @@ from steerkit._support.files import write_text
 from steerkit.car import processes
 from steerkit.car import recording as recordings
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import course_of, load
+from steerkit.car.config import load
 from steerkit.car.core import Core
 from steerkit.car.learner import CarLearner
 from steerkit.learning.data.store import TransitionStore
@@ -46,7 +46,7 @@ CONFIG = "dbw-kit.toml"
 def controller(folder: Path) -> None:
     """The process that is the controller: it learns, and says now and then what is safely on disk."""
     config = load(CONFIG)
-    path = course_of(config)
+    path = config.course
     with CarClient(str(folder / "socket")) as link:
         link.wait(timeout=10.0)
         with CarLearner(setting("default"), folder / "run", config, path, link) as learner:
@@ -162,7 +162,7 @@ class Bench:
         try:
             recorded = recordings.read(copy)
             config = recordings.config_of(recorded)
-            frames, same = recordings.replayed_exactly(recorded, Core(config, course_of(config)))
+            frames, same = recordings.replayed_exactly(recorded, Core(config, config.course))
             whole = recordings.read(recordings.repair(copy, overwrite=True)[1]).sound
         except ValueError as error:
             return {"ok_recording": False, "why": str(error)}

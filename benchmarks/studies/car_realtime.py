@@ -34,7 +34,7 @@ from steerkit.car import processes, protocol
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import course_of, load
+from steerkit.car.config import load
 from steerkit.car.core import Core
 from steerkit.car.learner import CarLearner
 from steerkit.car.state_machine import Mode, Order
@@ -95,7 +95,7 @@ def drive(
 ) -> dict[str, Any]:
     """One drive; its figures. safe: a learner's safety filter. seed: of the learner's nets and the human's speed."""
     config = load("dbw-kit.toml")
-    path = course_of(config)
+    path = config.course
     socket, place, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
     simulated, channel = processes.start_simulated("dbw-kit.toml", time_scale=scale, log=str(log), seed=seed)
     with (folder / "server.log").open("w", encoding="utf-8") as text:

@@ -13,12 +13,11 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import Field, asdict, dataclass, field, fields, replace
 from functools import cached_property, partial
-from importlib.resources import files
 from pathlib import Path as File
 from typing import Any
 
 from steerkit._support.errors import in_one_line, known
-from steerkit._support.files import LARGEST_TEXT, read_bytes, read_text, toml_of
+from steerkit._support.files import LARGEST_TEXT, read_bytes, read_text, read_toml, toml_of
 from steerkit._support.plugins import is_outside
 from steerkit.car.frames import MAX_JUMP, CommandWriter, FrameReader, Mapping, signal_range
 from steerkit.car.gate import GateLimits
@@ -38,32 +37,9 @@ TABLES = (
     *("format", "bus", "files", "course", "vehicle", "kit", "read", "protect", "write", "server", "limits"),
     *("controllers", "port"),
 )
-_REPORT = {
-    "delta_sw": ("rad", "ANGLE SWA STEERING_ANGLE"),
-    "v_kit": ("m/s", "VEH_VEL VEHICLE_SPEED"),
-    "torque": ("N m", "TORQUE TRQ"),
-    "echo": ("rad", "CMD SCMD COMMAND"),
-    "enabled": ("", "ENABLED"),
-    "override": ("", "OVERRIDE OVR"),
-    "timeout": ("", "TMOUT TIMEOUT"),
-    "brake": ("", "BRAKE BRAKE_PRESSED"),
-    "accelerator": ("", "ACCELERATOR GAS THROTTLE"),
-}
-_POSE = {
-    "x": ("m", "X EAST POS_X"),
-    "y": ("m", "Y NORTH POS_Y"),
-    "lat": ("rad", "LAT LATITUDE"),
-    "lon": ("rad", "LON LONGITUDE"),
-    "psi": ("rad", "PSI HEADING YAW"),
-    "v": ("m/s", "V SPEED VELOCITY"),
-    "r": ("rad/s", "R YAW_RATE YAWRATE"),
-    "beta": ("rad", "BETA SIDESLIP"),
-    "a_y": ("m/s^2", "A_Y AY LAT_ACC"),
-    "quality": ("", "QUALITY FIX"),
-    "stamp": ("s", "STAMP TIME TIMESTAMP"),
-}
-"""What the kit reports and what makes the pose: SI unit, "" for flags and pure numbers, and names of signals that say
-which quantity they are: one that bears another's is taken for a swap."""
+_TABLES = read_toml(File(__file__).with_name("quantities.toml"), "quantities")
+_REPORT, _POSE = _TABLES["report"], _TABLES["pose"]
+"""What the kit reports and what makes the pose: SI unit, and names of signals."""
 NEEDED = ("delta_sw", "v_kit", "torque", "enabled", "override", "psi", "v", "r")
 DIMENSION = {name: unit for name, (unit, _) in {**_REPORT, **_POSE}.items() if unit}
 """Quantity to SI unit; the others are flags and pure numbers."""
@@ -95,8 +71,7 @@ class CarConfig:
     """Where it came from."""
     bus: dict[str, Any]
     """Arguments of `can.Bus`."""
-    course: dict[str, Any]
-    """`name` of a built-in course; or `file`, and the `path` in it."""
+    course: Path
     vehicle: Vehicle
     readers: tuple[FrameReader, ...]
     """The frames that are read."""
@@ -177,7 +152,7 @@ class CarConfig:
         lines = [
             f"bus      {', '.join(f'{k} = {v!r}' for k, v in self.bus.items())}",
             f"vehicle  {self.vehicle.name}, ratio {self.gate.steer_ratio:g}, L = {self.gate.wheelbase:g} m",
-            f"course   {self.course.get('name') or self.course['file']}",
+            f"course   {self.course.name}",
         ]
         for reader in self.readers:
             period = f"{reader.period:g} s" if reader.period else ""
@@ -209,7 +184,7 @@ def _listed(parts: dict[str, str]) -> str:
 
 def shipped(name: str) -> File:
     """A configuration or DBC that comes with steerkit; raises ConfigError for another name, with the valid ones."""
-    folder = File(str(files("steerkit.car") / "kits"))
+    folder = File(__file__).parent / "kits"
     if not (folder / name).is_file():
         known = ", ".join(sorted(f.name for f in folder.iterdir() if f.suffix in (".toml", ".dbc")))
         raise ConfigError(f"{name}: no such file, beside the configuration or shipped; shipped: {known}")
@@ -318,9 +293,8 @@ def _ranges(config: CarConfig) -> Iterator[str]:
     low, high = _reach(config, config.quantities["psi"])
     if not high - low >= 2.0 * math.pi - 0.02:
         yield f"[read.psi] reaches from {low:.4g} to {high:.4g} rad, expected a whole circle"
-    path = config.course.get("path")
-    if path is not None and "x" in config.quantities:
-        for name, column in (("x", path.samples.xy[:, 0]), ("y", path.samples.xy[:, 1])):
+    if "x" in config.quantities:
+        for name, column in zip("xy", config.course.samples.xy.T):
             low, high = _reach(config, config.quantities[name])
             if column.min() < low or column.max() > high:
                 yield f"[read.{name}] reaches from {low:.4g} to {high:.4g} m, the course further"
@@ -418,26 +392,23 @@ class Reading:
         readers, writer = self.reading(database), self.writing(database)
         gate, states, motion = self.limits(car, writer)
         limits = limits_of(port, car) if port else None
-        if limits is not None:
-            gate = limits.within(gate)
         server = self.table("server", ("listen_only", "keep_recording"))
-        made = {
+        made: dict[str, Any] = {
             "bus": self.bus() if bus is None else bus,
             "course": self.course(),
+            "writer": writer,
             "origin_deg": self.origin(),
             "controllers": self.controllers(),
             **{key: self.entry("server", server, key, bool, False) for key in ("listen_only", "keep_recording")},
             **self.kit(),
         }
         self.end()
-        assert writer is not None
         config = CarConfig(
             file=self.where,
             vehicle=car,
             vehicle_file=vehicle_file,
             readers=tuple(readers),
-            writer=writer,
-            gate=gate,
+            gate=limits.within(gate) if limits else gate,
             states=states,
             motion=motion,
             port=port.name if port else "",
@@ -473,7 +444,7 @@ class Reading:
             self.wrong(in_one_line(error))
             self.end()
             raise
-        added = toml_of((File(str(files("steerkit.car.production"))) / "port.toml").read_text(encoding="utf-8"), "port")
+        added = read_toml(File(__file__).parent / "production" / "port.toml", "port")
         for name, more in added.items():
             own = self.table(name)
             for key in own.keys() & more.keys() - {"dbc"}:
@@ -537,17 +508,19 @@ class Reading:
             return vehicle_of(self.text(name, partial(read_text, where="vehicle")), name), name
         return vehicle("vw-passat"), ""
 
-    def course(self) -> dict[str, Any]:
+    def course(self) -> Path | None:
         table = self.table("course", ("name", "file", "closed"))
         if ("name" in table) == ("file" in table):
             self.wrong("[course]: give either name, such as 'paper', or file, a CSV with the columns x and y")
         if "file" not in table:
-            return {"name": self.entry("course", table, "name", str)}
+            with self.noted("[course] name: "):
+                return course(self.entry("course", table, "name", str))
+            return None
         name, closed = (self.entry("course", table, key, kind) for key, kind in (("file", str), ("closed", bool)))
         with self.noted(f"[course] file = {name!r}: "):
             text = self.text(name, partial(read_text, where="course", latin=True))
-            return {"file": name, "path": Path.from_csv(name, closed=closed, text=text)}
-        return {}
+            return Path.from_csv(name, closed=closed, text=text)
+        return None
 
     def limits(self, car: Vehicle, writer: CommandWriter | None) -> tuple[GateLimits, StateLimits, MotionLimits]:
         table = self.table("limits", LIMITS)
@@ -767,7 +740,7 @@ def loaded(config: str, channel: str = "") -> tuple[CarConfig, Path]:
     loaded_config = load(config, bus=bus_of(bus))
     if plus:
         loaded_config = replace(loaded_config, line={"line": "socket", "channel": line})
-    return loaded_config, course_of(loaded_config)
+    return loaded_config, loaded_config.course
 
 
 def bus_of(channel: str) -> dict[str, Any] | None:
@@ -790,13 +763,3 @@ def check_pace(time_scale: float, bus: dict[str, Any]) -> None:
     if time_scale != 1.0 and interface != "virtual" and not channel.startswith(simulated.get(interface, ())):
         where = f"on {interface}:{channel}: a real car has real time; use --simulated, or a simulated car's channel"
         raise ValueError(f"--time-scale {time_scale:g} {where}")
-
-
-def course_of(config: CarConfig) -> Path:
-    """The path that a configuration names; raises ValueError, saying where, for a name that is not known."""
-    if "name" not in config.course:
-        return config.course["path"]
-    try:
-        return course(config.course["name"])
-    except ValueError as error:
-        raise ValueError(f"{config.file}: [course] name: {error}") from error

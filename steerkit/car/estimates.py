@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path as File
 from typing import Any, NamedTuple
 
+from steerkit._support.files import read_toml
 from steerkit.car.config import CarConfig
 from steerkit.car.protocol import ESTIMATES, Estimates, Snapshot
 from steerkit.car.state_machine import Mode
@@ -43,22 +45,11 @@ class Quantity(NamedTuple):
     text: str
     si: str
     unit: str
-    factor: float
     digits: int
 
 
-_DEG = degrees_of(1.0)
-QUANTITIES = {
-    "delay": Quantity("dead time", "s", "s", 1.0, 3),
-    "lag": Quantity("lag", "s", "s", 1.0, 3),
-    "delay_lag": Quantity("dead time and lag", "s", "s", 1.0, 3),
-    "steer_ratio": Quantity("steering ratio", "1", "", 1.0, 2),
-    "understeer": Quantity("understeer gradient", "rad s^2/m", "rad s^2/m", 1.0, 4),
-    "offset": Quantity("offset of the wheel", "rad", "deg", _DEG, 2),
-    "rate_zero": Quantity("zero of the gyro", "rad/s", "deg/s", _DEG, 3),
-    "friction": Quantity("friction", "rad", "deg", _DEG, 2),
-    "play": Quantity("free play", "rad", "deg", _DEG, 2),
-}
+_FOUND = read_toml(File(__file__).with_name("quantities.toml"), "quantities")["found"]
+QUANTITIES = {name: Quantity(*row) for name, row in _FOUND.items()}
 """By the names of `protocol.ESTIMATES`."""
 DOUBTED = "a FAULT ended this drive: what was estimated before it is not to be used, and is begun anew"
 DROVE, EARLIER = "drive", "an earlier drive"
@@ -222,7 +213,8 @@ def report(found: Mapping[str, Estimated], before: Mapping[str, Estimated]) -> l
 
 def in_words(name: str, value: float, deviation: float) -> str:
     """A quantity with its 95 % interval, in words: `steering ratio 15.71 [15.42, 16.00]`."""
-    text, _, unit, factor, digits = QUANTITIES[name]
+    text, _, unit, digits = QUANTITIES[name]
+    factor = degrees_of(1.0) if unit.startswith("deg") else 1.0
     ends = Estimated(value, deviation, 1.0)
     numbers = [f"{factor * number:.{digits}f}" for number in (value, ends.low, ends.high)]
     return f"{text} {numbers[0]} [{numbers[1]}, {numbers[2]}]{f' {unit}' if unit else ''}"

@@ -16,7 +16,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import read_bytes
 from steerkit._support.plugins import fingerprint, is_outside, named_in
 from steerkit.car.client import CarClient, RealCar
-from steerkit.car.config import CarConfig, course_of
+from steerkit.car.config import CarConfig
 from steerkit.car.estimates import EVERY
 from steerkit.car.protocol import Adapted, Filtered, Remark
 from steerkit.controllers.adaptive import Adaptive
@@ -200,7 +200,7 @@ def design_model_of(config: CarConfig) -> DesignModel:
     port = config.port_limits
     return DesignModel(
         vehicle=replace(config.vehicle, delta_sw_max=stop),
-        path=course_of(config),
+        path=config.course,
         delay=config.delay,
         lag=config.lag + (port.late if port else 0.0),
         rate_limit=min(DesignModel.rate_limit, float(config.gate.rate(config.states.v_engage_max))),

@@ -7,8 +7,10 @@ import random
 from collections import deque
 from dataclasses import dataclass
 from operator import itemgetter
+from pathlib import Path as File
 from typing import Any
 
+from steerkit._support.files import read_toml
 from steerkit.car.config import CarConfig
 from steerkit.car.frames import FrameReader
 from steerkit.controllers.stanley import Stanley
@@ -28,40 +30,9 @@ BENDS = 2.3
 """Largest a_y that the human drives at [m/s^2]."""
 HANDS = 0.1
 """Lag of the human's hands at the wheel [s]."""
-FAULTS = {
-    "drop": "its frames stay away",
-    "delay": "its frames come `amount` [s] late",
-    "freeze": "its last frame is repeated, counter and all",
-    "stuck": "its values stand still, counter and CRC go on",
-    "corrupt": "a bit of each frame is turned over",
-    "counter": "its counter jumps",
-    "nan": "its values are the code for `not available`",
-    "jump": "the position is `amount` [m] off (pose)",
-    "quality": "the quality is 0 (pose)",
-    "speed": "the speed is `amount` [m/s] off",
-    "override": "the human takes the wheel: the kit reports an override (report)",
-    "torque": "the human's hand: a torque of `amount` [N m] (report)",
-    "brake": "the human's foot on the brake, of a kit that reports it (report)",
-    "accelerator": "the same on the accelerator (report)",
-    "door": "a door is open, of a production car (report)",
-    "kit_fault": "the kit reports a power fault (report)",
-    "timeout": "the kit reports that its watchdog ran out (report)",
-    "disabled": "the kit says that it is not enabled (report)",
-    "deaf": "the kit does as if no command came (report)",
-    "loose": "the motor no longer turns the wheel (report)",
-    "motor_sign": "the motor turns the wheel the other way (report)",
-    "wheel_sign": "the wheel's sensor has the other sign (report)",
-    "gyro_sign": "the yaw rate has the other sign (pose)",
-}
-"""What can go wrong on demand, with the frames of `target` ("pose" or "report")."""
-_SAID = {
-    "brake": ("brake", 1.0),
-    "accelerator": ("accelerator", 1.0),
-    "timeout": ("timeout", 1.0),
-    "disabled": ("enabled", 0.0),
-    "quality": ("quality", 0.0),
-}
-"""Of a fault: the quantity that says what it then says."""
+_TABLES = read_toml(File(__file__).with_suffix(".toml"), "faults")
+FAULTS, _SAID = _TABLES["faults"], _TABLES["said"]
+"""What can go wrong on demand, by kind; and of some, the quantity that says what it then says."""
 
 
 @dataclass(frozen=True, kw_only=True)

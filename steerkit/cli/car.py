@@ -16,7 +16,7 @@ from steerkit.car import calibration, estimates, processes
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import course_of, loaded
+from steerkit.car.config import loaded
 from steerkit.car.core import Core
 from steerkit.car.panel import stream as show
 from steerkit.car.panel import witness_line
@@ -222,7 +222,7 @@ def replay(
     for v in recorded.of("/state"):
         print(f"  {v['t']:.3f} s  {v.get('from')} -> {v.get('to')}: {v.get('cause')}")
     config = recordings.config_of(recorded)
-    path = course_of(config)
+    path = config.course
     for difference in recordings.differences(recorded, config, path):
         print(f"not as it was then: {difference}")
     if any(gap.missing for gap in recorded.gaps):

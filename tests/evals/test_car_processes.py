@@ -87,7 +87,7 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
     recorded = recordings.read(bench["record"])
     assert recorded.whole
     config = recordings.config_of(recorded)
-    path = configured.course_of(config)
+    path = config.course
     frames, same = recordings.replayed_exactly(recorded, Core(config, path))
     assert frames == same > 0
     (driven,) = replays.drives(recorded)

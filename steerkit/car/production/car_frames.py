@@ -5,12 +5,12 @@ Source of names and codes: commaai/opendbc 0.3.1 (MIT), `car/MAKER/carstate.py` 
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, NamedTuple
 
+from steerkit._support.files import read_toml
 from steerkit.car.production.platforms import Platform
 
 _KNOWN = {"__builtins__": {}, "abs": abs, "round": round}
@@ -54,7 +54,7 @@ class Command(NamedTuple):
 
 @cache
 def _table() -> dict[str, Any]:
-    return tomllib.loads((files("steerkit.car.production") / "frames.toml").read_text(encoding="utf-8"))
+    return read_toml(Path(__file__).with_name("frames.toml"), "frames")
 
 
 @cache

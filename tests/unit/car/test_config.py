@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from steerkit.car.config import LIMITS, ConfigError, bus_of, check_pace, course_of, load, loaded, shipped
+from steerkit.car.config import LIMITS, ConfigError, bus_of, check_pace, load, loaded, shipped
 from steerkit.car.ports import open_bus
 from steerkit.car.senses import Senses
 from steerkit.diagram.units import degrees_of, radians_of
@@ -297,4 +297,4 @@ def test_the_file_s_bus_is_taken_unless_a_channel_is_given() -> None:
     (usual, path), (other, same) = loaded(KIT), loaded(KIT, "virtual:x")
     assert usual.bus == load(KIT).bus
     assert other.bus == {"interface": "virtual", "channel": "x"} != usual.bus
-    assert path is same is course_of(usual)
+    assert path is same is usual.course

@@ -17,7 +17,7 @@ from mcap.writer import Writer
 
 from steerkit.car import protocol
 from steerkit.car import recording as recordings
-from steerkit.car.config import course_of, load, shipped
+from steerkit.car.config import load, shipped
 from steerkit.car.core import Core, End, Frame, Link, Note, Packet, RecordingFault, Send, Tick
 from steerkit.car.state_machine import Mode
 from steerkit.vehicles import vehicle
@@ -254,7 +254,7 @@ def own_files(folder: Path) -> Path:
 
 def test_a_replay_depends_on_no_file_but_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = load(own_files(tmp_path / "here"))
-    path = course_of(config)
+    path = config.course
     recordings.Recording(tmp_path / "t.mcap", recordings.described(config, path, 2.5)).close()
     for file in (tmp_path / "here").rglob("*.*"):
         file.write_text("gone")
@@ -266,19 +266,19 @@ def test_a_replay_depends_on_no_file_but_the_recording(tmp_path: Path, monkeypat
     assert sorted(text for name, text in again.texts.items() if name.endswith(".DBC")) == sorted(
         text for name, text in config.texts.items() if name.endswith(".DBC")
     )
-    assert protocol.digest(course_of(again)) == protocol.digest(path)
+    assert protocol.digest(again.course) == protocol.digest(path)
     assert [reader.frame_id for reader in again.readers] == [reader.frame_id for reader in config.readers]
     assert again.gate == config.gate
     assert recorded.metadata["time_scale"] == "2.5"
     assert recorded.metadata["protocol"] == str(protocol.VERSION)
     assert {"python", "numpy", "steerkit-control", "cantools"} <= recorded.metadata.keys()
-    assert recordings.differences(recorded, again, course_of(again)) == []
+    assert recordings.differences(recorded, again, again.course) == []
 
 
 @pytest.mark.parametrize("name", ["can/pose.DBC", "places/same.csv", "cars/own.toml"])
 def test_a_recording_that_lacks_a_file_says_which(tmp_path: Path, name: str) -> None:
     config = load(own_files(tmp_path / "here"))
-    description = recordings.described(config, course_of(config))
+    description = recordings.described(config, config.course)
     del description[f"file:{name}"]
     recordings.Recording(tmp_path / "t.mcap", description).close()
     with pytest.raises(ValueError, match=f"the recording: .*{name} is not in it: no replay"):
