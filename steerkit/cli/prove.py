@@ -6,7 +6,8 @@ import contextlib
 import json
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +20,6 @@ from rich.table import Table
 from steerkit._support.errors import require
 from steerkit.car import prove as car_prove
 from steerkit.car import recording as recordings
-from steerkit.car.session import Options
 from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
 from steerkit.cli.options import CarOptions, car_options, drive_options, in_simulation, on_car
 from steerkit.logs import read_drive
@@ -27,7 +27,7 @@ from steerkit.logs.drive import Drive
 from steerkit.proving import page
 from steerkit.proving.evaluate import Evaluation, evaluate
 from steerkit.proving.find import found
-from steerkit.proving.manoeuvre import Limit, Manoeuvre, read_limits, some
+from steerkit.proving.manoeuvre import Manoeuvre, read_limits, some
 from steerkit.proving.runs import Run
 from steerkit.proving.simulate import of_fleet, simulated
 from steerkit.scenario import Scenario
@@ -90,77 +90,61 @@ def prove(
     require(page_file is None or len(wanted) == 1, f"--report {report}", "one page is of one manoeuvre; name a folder")
     where, drivers, cars = car or ["sim"], controller or ["stanley"], vehicle or []
     console = Console(stderr=options.as_json, quiet=options.quiet and not options.as_json)
-    done = dict[str, list[Evaluation]]()
     with contextlib.redirect_stdout(sys.stderr) if options.as_json else contextlib.nullcontext():
+        driven = "log"
+        each: Callable[[Manoeuvre], Iterator[Driven]] = partial(_recorded, file=Path(where[0]))
         if where == ["sim"]:
             base = read_scenario(scenario_file) if scenario_file else Scenario()
-            each = _in_simulation(wanted, base, cars or ([] if scenario_file else ["vw-passat"]), drivers, kept, seed)
+            names = [] if cars == ["fleet"] else cars or ["vw-passat"]
+            scenarios = [base.with_(vehicle={"name": name}) for name in names] if cars or not scenario_file else [base]
+            driven, each = "simulation", partial(_simulated, scenarios=scenarios, controllers=drivers, seed=seed)
         elif where[0].endswith(".toml"):
             require(options.simulated or not yes, "--yes", "is for a simulated car; on a real one a person consents")
-            how = {"base": drivers[0], "repeats": repeats, "yes": yes, "minutes": minutes}
-            each = _on_a_car(wanted, car_options(options, where[0]), kept, how)
-        else:
-            if len(where) == 1 and _has_runs(Path(where[0])):
-                each = (_recorded(one, Path(where[0]), kept) for one in wanted)
-            else:
-                drive = read_drive(where, column_map(columns, column), dbc=dbc or (), steer_ratio=steer_ratio)
-                each = _in_a_log(wanted, drive, vehicle_named(cars[0] if cars else "vw-passat"), kept)
-        for one in each:
-            done.setdefault(one.manoeuvre.name, []).append(one)
-    driven = "a car" if where[0].endswith(".toml") else "simulation" if where == ["sim"] else "log"
-    driven = "simulated car on a bus" if options.simulated else driven
-    for evaluations in done.values():
+            how: dict[str, Any] = {"base": drivers[0], "repeats": repeats, "yes": yes, "minutes": minutes}
+            driven = "simulated car on a bus" if options.simulated else "a car"
+            on_a_car = car_options(options, where[0])
+            each = lambda one: _recorded(one, Path(car_prove.drive(on_a_car, one, **how)["recording"]))  # noqa: E731
+        elif len(where) > 1 or not _has_runs(Path(where[0])):
+            drive = read_drive(where, column_map(columns, column), dbc=dbc or (), steer_ratio=steer_ratio)
+            data = vehicle_named(cars[0] if cars else "vw-passat")
+            each = partial(_found, drive=drive, data=data)
+        done = [[evaluate(**it, limits=kept) for it in each(one)] for one in wanted]
+    for evaluations in done:
         _print(console, evaluations)
         if report is not None:
             file = page_file or report / f"{evaluations[0].manoeuvre.name}.html"
             file.parent.mkdir(parents=True, exist_ok=True)
             page.write(file, evaluations, general={"how": driven}, command=shlex.join(["steerkit", *sys.argv[1:]]))
             console.print(f"report: {file}", soft_wrap=True, highlight=False)
-    judged = [one.passed for evaluations in done.values() for one in evaluations]
     if options.as_json:
-        facts = [one.facts() for evaluations in done.values() for one in evaluations]
-        print(json.dumps({"evaluations": _plain(facts)}, allow_nan=False))
-    raise typer.Exit(1 if False in judged else 0)
+        facts = [one.facts() for evaluations in done for one in evaluations]
+        print(json.dumps({"evaluations": facts}, allow_nan=False))
+    raise typer.Exit(int(any(one.passed is False for evaluations in done for one in evaluations)))
 
 
-def _in_simulation(
-    wanted: Sequence[Manoeuvre],
-    base: Scenario,
-    cars: Sequence[str],
-    controllers: Sequence[str],
-    limits: Sequence[Limit],
-    seed: int,
-) -> Iterator[Evaluation]:
-    """Of each manoeuvre, each car (none: the scenario's), and on a course each controller."""
-    for one in wanted:
-        if list(cars) == ["fleet"]:
-            for each, runs in of_fleet(one, list(fleet().values())):
-                yield evaluate(one, runs, each.vehicle, who=each.vehicle.name, limits=limits)
-            continue
-        scenarios = [base] if not cars else [base.with_(vehicle={"name": name}) for name in cars]
-        for scenario in scenarios:
-            scenario = scenario.with_(steering=scenario.vehicle.steering_in_file())
-            for driver in controllers if one.course else controllers[:1]:
-                runs = simulated(one, scenario, controller=driver, seed=seed)
-                who = f"{scenario.nominal.name}, simulated ({scenario.vehicle.plant})"
-                who = f"{who}, {driver}" if one.course else who
-                yield evaluate(one, runs, scenario.nominal, who=who, limits=limits)
+Driven = dict[str, Any]
+"""What is evaluated: the parameters of `evaluate`."""
 
 
-def _in_a_log(
-    wanted: Sequence[Manoeuvre], drive: Drive, data: Vehicle, limits: Sequence[Limit]
-) -> Iterator[Evaluation]:
-    """Of each manoeuvre what the log has of it."""
-    for one in wanted:
-        driven, runs, notes = found(one, drive)
-        yield evaluate(driven, runs, data, who=f"{drive.name} (data of {data.name})", limits=limits, notes=notes)
+def _simulated(
+    one: Manoeuvre, scenarios: Sequence[Scenario], controllers: Sequence[str], seed: int
+) -> Iterator[Driven]:
+    """By each scenario's car (none: the fleet), and on a course each controller."""
+    for each, runs in [] if scenarios else of_fleet(one, list(fleet().values())):
+        yield {"manoeuvre": one, "runs": runs, "vehicle": each.vehicle, "who": each.vehicle.name}
+    for scenario in scenarios:
+        scenario = scenario.with_(steering=scenario.vehicle.steering_in_file())
+        for driver in controllers if one.course else controllers[:1]:
+            runs = simulated(one, scenario, controller=driver, seed=seed)
+            who = f"{scenario.nominal.name}, simulated ({scenario.vehicle.plant})" + f", {driver}" * bool(one.course)
+            yield {"manoeuvre": one, "runs": runs, "vehicle": scenario.nominal, "who": who}
 
 
-def _on_a_car(wanted: Sequence[Manoeuvre], options: Options, limits: Sequence[Limit], how: Any) -> Iterator[Evaluation]:
-    """Each manoeuvre by the car of a file, from its recording."""
-    for one in wanted:
-        figures = car_prove.drive(options, one, **how)
-        yield _recorded(one, Path(figures["recording"]), limits)
+def _found(one: Manoeuvre, drive: Drive, data: Vehicle) -> Iterator[Driven]:
+    """What a log has of it."""
+    driven, runs, notes = found(one, drive)
+    who = f"{drive.name} (data of {data.name})"
+    yield {"manoeuvre": driven, "runs": runs, "vehicle": data, "who": who, "notes": notes}
 
 
 def _has_runs(file: Path) -> bool:
@@ -171,34 +155,26 @@ def _has_runs(file: Path) -> bool:
         return False
 
 
-def _recorded(one: Manoeuvre, file: Path, limits: Sequence[Limit]) -> Evaluation:
+def _recorded(one: Manoeuvre, file: Path) -> Iterator[Driven]:
     """The runs of a car's own recording, which says when each began, and why it ended; whole or cut short."""
     recording, cut = recordings.read(file), list[Run]()
-    config, told = (
-        recordings.config_of(recording),
-        [run for run in car_prove.runs_in(file) if run["manoeuvre"] == one.name],
-    )
+    vehicle = recordings.config_of(recording).vehicle
+    told = [run for run in car_prove.runs_in(file) if run["manoeuvre"] == one.name]
     rows = [row for row in recording.of("/car") if np.isfinite([row[of] for of in RECORDED.values()]).all()]
     at = np.array([row["t"] for row in rows])
     for run in told:
         on_course = run["side"] == "course"
-        begin = run["begin"] - (0.0 if on_course else one.conditions.settle)
-        t = np.arange(begin, run["end"] + 1e-9, DT)
+        t = np.arange(run["begin"] - (0.0 if on_course else one.conditions.settle), run["end"] + 1e-9, DT)
         if len(t) < 10 or len(at) < 10:
             continue
-        cut.append(
-            Run(
-                t=t - run["begin"],
-                signals={name: np.interp(t, at, [row[of] for row in rows]) for name, of in RECORDED.items()},
-                side="left" if on_course else run["side"],
-                number=run["number"],
-                invalid=run["cause"] or "",
-                whole=on_course and one.input is not None,
-            )
-        )
+        signals = {name: np.interp(t, at, [row[of] for row in rows]) for name, of in RECORDED.items()}
+        side, whole = "left" if on_course else run["side"], on_course and one.input is not None
+        more: dict[str, Any] = {"number": run["number"], "invalid": run["cause"] or "", "whole": whole}
+        cut.append(Run(t=t - run["begin"], signals=signals, side=side, **more))
     driven = one.at(told[0]["v"], told[0]["a_y"] if one.input and told[0]["a_y"] else None) if told else one
     notes = [] if told else ["no run of it is in this recording"]
-    return evaluate(driven, cut, config.vehicle, who=f"{config.vehicle.name}, {file.name}", limits=limits, notes=notes)
+    who = f"{vehicle.name}, {file.name}"
+    yield {"manoeuvre": driven, "runs": cut, "vehicle": vehicle, "who": who, "notes": notes}
 
 
 def _list(as_json: bool) -> None:
@@ -215,20 +191,20 @@ def _list(as_json: bool) -> None:
 
 def _print(console: Any, evaluations: Sequence[Evaluation]) -> None:
     """Tables of one manoeuvre; of many cars one row each."""
-    first = evaluations[0]
-    title = f"{first.manoeuvre.title}, {first.manoeuvre.conditions.v:.3g} m/s ({escape(first.manoeuvre.norm)})"
-    quantities = list(dict.fromkeys(r.quantity for one in evaluations for r in one.results))
+    say = partial(console.print, soft_wrap=True, highlight=False)
+    first, m = evaluations[0], evaluations[0].manoeuvre
+    title = f"{m.title}, {m.conditions.v:.3g} m/s ({escape(m.norm)})"
     if len(evaluations) > 1:
-        rows = [("", *(WORDS[one.passed] for one in evaluations))]
+        quantities = dict.fromkeys(r.quantity for one in evaluations for r in one.results)
+        rows = [("", *(escape(one.who) for one in evaluations)), ("", *(WORDS[one.passed] for one in evaluations))]
         known = [{r.quantity: f"{r.value:.4g}" for r in one.results} for one in evaluations]
         rows += [(quantity, *(values.get(quantity, "") for values in known)) for quantity in quantities]
-        names = [escape(one.who) for one in evaluations]
         if len(evaluations) > _ABREAST:  # a fleet: a line a car
-            for name, *values in zip(["car", *names], *rows):
-                console.print("  ".join([f"{name:32}", *values]), soft_wrap=True, highlight=False)
+            for name, *values in [("car", *(name for name, *_ in rows[1:])), *list(zip(*rows))[1:]]:
+                say("  ".join([f"{name:32}", *values]))
             return
-        table = Table("", *names, title=title)
-        for row in rows:
+        table = Table(*rows[0], title=title)
+        for row in rows[1:]:
             table.add_row(*row)
         console.print(table)
         return
@@ -238,26 +214,11 @@ def _print(console: Any, evaluations: Sequence[Evaluation]) -> None:
         table.add_row(r.quantity, f"{r.value:.4g}", escape(interval), r.unit, str(r.n), r.note)
     console.print(table)
     for limit, passed in first.verdicts:
-        console.print(
-            f"{WORDS[passed]}: {limit.quantity} {limit.text()} ({escape(limit.source)})",
-            soft_wrap=True,
-            highlight=False,
-        )
+        say(f"{WORDS[passed]}: {limit.quantity} {limit.text()} ({escape(limit.source)})")
     for run in first.runs:
         if run.invalid:
-            text = f"run {run.number}, {run.side}, does not count: {escape(run.invalid)}"
-            console.print(text, soft_wrap=True, highlight=False)
+            say(f"run {run.number}, {run.side}, does not count: {escape(run.invalid)}")
     for note in first.notes:
-        console.print(escape(note), soft_wrap=True, highlight=False)
-    if first.manoeuvre.unverified:
-        text = f"numbers not verified against the norm's text: {', '.join(first.manoeuvre.unverified)}"
-        console.print(text, soft_wrap=True, highlight=False)
-
-
-def _plain(value: Any) -> Any:
-    """As JSON has it: None for a number that is none."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and value != value else value
+        say(escape(note))
+    if m.unverified:
+        say(f"numbers not verified against the norm's text: {', '.join(m.unverified)}")

@@ -47,6 +47,11 @@ class Result(NamedTuple):
         """Its unit."""
         return str(WORDS["units"].get(self.quantity, "1"))
 
+    def facts(self) -> dict[str, Any]:
+        """As JSON: null for what there is none of."""
+        value, low, high = (None if math.isnan(x) else x for x in self[1:4])
+        return {"value": value, "low": low, "high": high, "unit": self.unit, "n": self.n, "note": self.note}
+
 
 class Verdict(NamedTuple):
     """A limit, and whether it is kept: None where it is not known, as the quantity was not evaluated."""
@@ -93,10 +98,7 @@ class Evaluation:
             "norm": self.manoeuvre.norm,
             "car": self.who,
             "passed": self.passed,
-            "results": {
-                r.quantity: {"value": r.value, "low": r.low, "high": r.high, "unit": r.unit, "n": r.n, "note": r.note}
-                for r in self.results
-            },
+            "results": {r.quantity: r.facts() for r in self.results},
             "limits": [
                 {"quantity": v.limit.quantity, "limit": v.limit.text(), "source": v.limit.source, "passed": v.passed}
                 for v in self.verdicts
