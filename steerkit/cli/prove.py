@@ -84,6 +84,8 @@ def prove(
         _list(options.as_json)
         return
     wanted = [one.at(speed, a_y if one.input else None) for one in some(manoeuvres)]
+    sized = a_y is None or any(one.input for one in wanted)
+    require(sized, f"--a-y {a_y}", "is the size of an open-loop input; these manoeuvres are driven on a course")
     kept = read_limits(limits) if limits else []
     page_file = report if report is not None and report.suffix else None
     require(page_file is None or page_file.suffix == ".html", f"--report {report}", "expected FILE.html, or a folder")

@@ -157,7 +157,7 @@ class Conditions:
     """By which the speed may differ, before and within a run [m/s]."""
     settle: float = number(2.0, "s", low=0.2, high=30.0)
     """Straight ahead before each run [s]."""
-    r_max: float = number(0.01, "rad/s", low=1e-4, high=1.0)
+    r_max: float = number(0.02, "rad/s", low=1e-4, high=1.0)
     """|yaw rate| meanwhile, as a mean [rad/s]."""
 
     def __post_init__(self) -> None:

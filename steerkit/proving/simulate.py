@@ -10,7 +10,7 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.compiled import compile
-from steerkit.controllers.stanley import Stanley
+from steerkit.controllers.delay import delayed_stanley
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Table
 from steerkit.diagram.simulation import Log, simulate
@@ -36,7 +36,7 @@ _OPEN = ("m", "i_z", "l_f", "l_r", "c_f", "c_r", "steer_ratio")
 def simulated(manoeuvre: Manoeuvre, scenario: Scenario, *, controller: str = "stanley", seed: int = 0) -> list[Run]:
     """The runs of a manoeuvre by a scenario's car and steering; its course and speeds are the manoeuvre's.
 
-    Open loop: `Stanley` drives straight on until the input begins. A manoeuvre on a course is driven by `controller`.
+    Open loop: `controller` drives straight on until the input begins. A manoeuvre on a course it drives alone.
     A run is of what the car does, in samples of 0.01 s (the plant's own, if those are longer); the wheel's angle
     is the one held in the sample before, so that dead times read half a sample too short. Repeats have another
     seed each, and where nothing is drawn by lot they are the same. Raises ValueError for a car that does not take the
@@ -51,7 +51,7 @@ def simulated(manoeuvre: Manoeuvre, scenario: Scenario, *, controller: str = "st
             if manoeuvre.input is None:
                 runs.append(_driven(manoeuvre, scenario, controller, side, number, draw))
             else:
-                loop = open_loop(manoeuvre, scenario, side, draw)
+                loop = open_loop(manoeuvre, scenario, side, draw, controller)
                 log = simulate(loop, _seconds(manoeuvre), allow_nonfinite=True)
                 runs.append(run_of(log, manoeuvre, side, number, -_wait(manoeuvre)))
     return runs
@@ -65,13 +65,18 @@ def _seconds(manoeuvre: Manoeuvre, late: float = 0.0) -> float:
     return _wait(manoeuvre) + manoeuvre.seconds + late + DT
 
 
-def open_loop(manoeuvre: Manoeuvre, scenario: Scenario, side: str, seed: int = 0) -> Loop:
-    """The loop of a run: straight on, then the input, on a straight course that is long enough."""
+def open_loop(manoeuvre: Manoeuvre, scenario: Scenario, side: str, seed: int = 0, controller: str = "stanley") -> Loop:
+    """The loop of a run: straight on, then the input, on a straight course that is long enough.
+
+    `stanley` is one that knows the steering's delay, and it and the wave steer every 0.01 s; others at their own pace.
+    """
     v, car = manoeuvre.conditions.v, scenario.nominal
     path = straight(2.0 * v * _seconds(manoeuvre) + 200.0)
     blocks: dict[str, Any] = dict(scenario.blocks(path, 50.0, seed))
     blocks["sensors"] = blocks["estimator"] = None  # a test driver holds the wheel, who needs neither
-    base = replace(Stanley.of(car), dt=DT)
+    known = replace(scenario.design_model(), path=path)
+    steering: Any = {name: getattr(known, name) for name in ("delay", "lag", "rate_limit", "slew", "a_y_limit")}
+    base = make_controller(controller, known) if controller != "stanley" else delayed_stanley(car, dt=DT, **steering)
     steering = manoeuvre.open_loop(base, car, side, wait=_wait(manoeuvre))
     return steering_loop(path=path, controller=steering, reference=float(car.l_f), **blocks)
 
