@@ -291,7 +291,7 @@ class Proving:
         self._aborted, self._ended, self.lacking = cause, s.t, "a run has ended"
         self._note({"event": "end", "number": run["number"], "cause": cause})
         self.follow.exchange(live, self._loops[""])
-        if cause:
+        if cause or not self.side:
             ring()
 
     def _broken(self, s: Snapshot) -> Iterator[str]:
