@@ -86,7 +86,38 @@ def felt(car: Any, doe: Any, slow: Any, before: Any, v: Any) -> tuple[Any, Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DelayCompensator:
+class SteeringAnswer:
+    """The learned numbers by which a car answers its steering wheel: see `moved`, and `felt`."""
+
+    now: float = 0.0
+    before: float = 0.0
+    earlier: float = 0.0
+    back: float = 0.0
+    yaw: float = 0.0
+    slip: float = 0.0
+    """How the tyres' slip grows with speed [s^2/m^2]."""
+    loss: float = 0.0
+    """The wheel turns a fast car by 1/(1 + loss*v^2) of what it does at walking pace [s^2/m^2]."""
+    nose: float = 1.0
+    """Share of w's change that the course makes, at walking pace [1]."""
+    tail: float = 0.0
+    """What v^2 takes of that share [s^2/m^2]."""
+    fast: float = 0.0
+    """1 of a fast car, else 0."""
+    straight: float = 0.0
+    """Angle of the wheel at which the car goes straight on [rad]; policies and models get angles from there."""
+    lead: float = 0.0
+    """By how much the steering overshoots a change, as a share of it [1]."""
+    fade: float = 0.0
+    """Share of that which is gone a sample later [1]."""
+    most: float = UNLIMITED
+    """Largest overshoot, times v^2 [rad m^2/s^2]."""
+    slew: float = UNLIMITED
+    """Largest change in a sample, times v^2 [rad m^2/s^2]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DelayCompensator(SteeringAnswer):
     """A car's dead time and its answer to the wheel, learned; predicts the motion at which the next command acts.
 
     The measured state s(k) is what the angles until `samples` samples before have made of the car. The angles on
@@ -100,30 +131,9 @@ class DelayCompensator:
     """
 
     samples: int = 0
-    """Dead time in samples: whole ones; what is left of one is in the numbers below."""
-    now: float = 0.0
-    before: float = 0.0
-    earlier: float = 0.0
-    back: float = 0.0
-    slip: float = 0.0
-    yaw: float = 0.0
-    straight: float = 0.0
-    """Angle of the wheel at which the car goes straight on [rad]; the policy gets angles from there."""
+    """Dead time in samples: whole ones; what is left of one is in the other numbers."""
     trust: float = 1.0
     """Share of the measurement in the filtered values [1]."""
-    loss: float = 0.0
-    nose: float = 1.0
-    tail: float = 0.0
-    fast: float = 0.0
-    """More numbers of `moved`."""
-    lead: float = 0.0
-    """By how much the steering overshoots a change, as a share of it [1]."""
-    fade: float = 0.0
-    """Share of that which is gone a sample later [1]."""
-    most: float = UNLIMITED
-    """Largest overshoot, times v^2 [rad m^2/s^2]."""
-    slew: float = UNLIMITED
-    """Largest change in a sample, times v^2 [rad m^2/s^2]."""
     dt: float = DT
     """Sample time [s]."""
 

@@ -7,7 +7,7 @@ import math
 import operator
 import os
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -229,7 +229,10 @@ class NfqPolicy(Policy):
             **{f"net{k}_{i}": p for k, net in enumerate(self.nets or ()) for i, p in enumerate(net)},
         }
         if self.forecast is not None:
-            arrays |= {"dead_samples": self.forecast.samples, "forecast": astuple(self.forecast)[1:-1]}
+            arrays |= {
+                "dead_samples": self.forecast.samples,
+                "forecast": [getattr(self.forecast, name) for name in _KEPT],
+            }
         write_arrays(path, "policy", arrays, durable=durable)
 
     @classmethod
@@ -254,15 +257,17 @@ class NfqPolicy(Policy):
 
 
 _STANDS = DelayCompensator()
+_KEPT = (*"now before earlier back slip yaw straight trust loss nose tail fast".split(), *ahead.FELT)
+"""The numbers of a forecast, in the order of a policy's file."""
 
 
 def _forecast_in(f: Any) -> DelayCompensator | None:
     """The forecast of a policy's file, if it holds one."""
     if "dead_samples" not in f:
         return None
-    numbers, names = f["forecast"].tolist(), [field.name for field in fields(DelayCompensator)][1:-1]
-    require(len(numbers) == len(names), "forecast", f"{len(numbers)} numbers, expected {len(names)}; learn anew")
-    found = DelayCompensator(samples=int(f["dead_samples"]), dt=float(f["dt"]), **dict(zip(names, numbers)))
+    numbers = f["forecast"].tolist()
+    require(len(numbers) == len(_KEPT), "forecast", f"{len(numbers)} numbers, expected {len(_KEPT)}; learn anew")
+    found = DelayCompensator(samples=int(f["dead_samples"]), dt=float(f["dt"]), **dict(zip(_KEPT, numbers)))
     for name in (*ahead.ANSWER, "straight"):  # some 0.01, 0.2 and 0.4; others would steer straight on in silence
         require(
             abs(getattr(found, name)) <= 10.0, "forecast", f"{name} = {getattr(found, name):g}, expected within +-10"

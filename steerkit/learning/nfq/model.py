@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.controllers.delay_compensator import ANSWER, LENGTH, SLOWEST, UNLIMITED, CourseMotion, felt, moved
+from steerkit.controllers.delay_compensator import LENGTH, SLOWEST, UNLIMITED, CourseMotion, SteeringAnswer, felt, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
@@ -57,7 +57,7 @@ class Felt(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CarModel:
+class CarModel(SteeringAnswer):
     """How path errors change in one sample, in a few learned numbers; the geometry of the path is known.
 
     With the course of the reference point against the path c = e_dot/v and its angle to the car w = c - psi_e:
@@ -75,30 +75,8 @@ class CarModel:
 
     held: float
     pushed: float
-    now: float
-    before: float
-    earlier: float
-    back: float
-    yaw: float
     limit: float
     """Largest |doe| [rad]."""
-    slip: float = 0.0
-    """How the tyres' slip grows with speed [s^2/m^2]."""
-    loss: float = 0.0
-    """The wheel turns a fast car by 1/(1 + loss*v^2) of what it does at walking pace [s^2/m^2]."""
-    nose: float = 1.0
-    """Share of w's change that the course makes, at walking pace [1]."""
-    tail: float = 0.0
-    """What v^2 takes of that share [s^2/m^2]."""
-    fast: float = 0.0
-    """1 of a fast car, else 0."""
-    straight: float = 0.0
-    """Angle of the wheel at which the car goes straight on [rad]; states count doe from there."""
-    lead: float = 0.0
-    fade: float = 0.0
-    most: float = UNLIMITED
-    slew: float = UNLIMITED
-    """How the steering overshoots and how fast it is: see `felt`, where u takes doe's place in `moved`."""
 
     @classmethod
     def fit(cls, record: Transitions, description: StateDescription, *, fast: bool = False) -> CarModel:
@@ -122,7 +100,7 @@ class CarModel:
         rows = follows if follows.sum() >= 10 else np.ones(len(s), dtype=bool)
         x = np.column_stack((doe_next, doe, earlier_doe(record), -w))
         constant, straight = 0.0, 0.0
-        answer = dict.fromkeys(ANSWER, 0.0) | {"nose": 1.0, "fast": float(fast)}
+        answer = {"fast": float(fast)}
         if fast:
             course, turn = turn, s_next[:, E_DOT] / speed(s_next) - s_next[:, PSI_E] - w
         if has_kappa:

@@ -1,7 +1,7 @@
 """Dead time out of recorded transitions: the one that a car really has, and what goes with it."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -21,6 +21,9 @@ from tests.support.places import ROOT
 CAR = CarModel(held=1.0, pushed=1.0, now=0.006, before=0.005, earlier=0.0, back=0.2, slip=4e-4, yaw=0.38, limit=9.0)
 FAST = replace(CAR, slip=0.0, loss=1.2e-3, yaw=1.0 / LENGTH, nose=0.9, tail=2.25e-3, fast=1.0)
 """A car at speed, with soft tyres: at 20 m/s nothing is left of its front axle's course to its own axis."""
+NUMBERS = ("held", "pushed", "now", "before", "earlier", "back", "yaw", "limit", "slip", "loss", "nose", "tail", "fast")
+NUMBERS += ("straight",)
+"""Of a model, in the order of the golden file."""
 DESCRIPTION = DEFAULT.description()
 
 
@@ -260,8 +263,9 @@ def test_of_noisy_records_the_models_and_what_nets_learn_are_written_down(
         heading = with_heading_of_yaw_rate(record) if fast else record
         models = [CarModel.fit(aligned(heading, 4), DESCRIPTION, fast=fast), process.model]
     asked = Problem(actions=ACTIONS, cost=DEFAULT.cost, fit=fit, description=DESCRIPTION)
+    assert {*NUMBERS, *FELT} == {field.name for field in fields(CarModel)}
     found = [
-        *np.ravel([[value for name, value in asdict(model).items() if name not in FELT] for model in models]),
+        *np.ravel([[getattr(model, name) for name in NUMBERS] for model in models]),
         *np.ravel([net[0] for net in update(record, asked, Learned()).nets])[::9],
     ]
     for x, y in seen[:: fit.nets]:
