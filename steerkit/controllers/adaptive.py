@@ -181,7 +181,10 @@ class Adaptive(Block):
                 continue
             y = block.output(t, states[i], self._seen(block, block.D, u, ratio))
             asked = asked + share * y.delta_sw
-            nearest = y if nearest is None else self._nearer(share, y, nearest)
+            if nearest is not None:  # all other outputs are those of the one with the larger share
+                pick, pairs = share > 0.5, zip(y, nearest)
+                y = type(y)(*[m.chosen(pick, a, b) if isinstance(a, tuple) else m.where(pick, a, b) for a, b in pairs])
+            nearest = y
         command = m.clip(ratio * asked, -self.limit, self.limit)
         return nearest._replace(delta_sw=command)  # type: ignore[union-attr]
 
@@ -223,14 +226,6 @@ class Adaptive(Block):
         """What is believed a sample later; rates: the fastest of its fall and of its growth."""
         step = m.clip(m.clip(value, *bounds) - before, -rates[0] * self.dt, rates[1] * self.dt)
         return before + m.where(m.both(valid > 0.5, m.is_finite(value)), step, 0.0)
-
-    @staticmethod
-    def _nearer(share: Scalar, y: Any, other: Any) -> Any:
-        """The outputs of the controller with the larger share."""
-        pick = share > 0.5
-        return type(y)(
-            *[m.chosen(pick, a, b) if isinstance(a, tuple) else m.where(pick, a, b) for a, b in zip(y, other)]
-        )
 
     def _seen(self, block: Block, ports: Any, u: Any, ratio: Scalar) -> Any:
         """The inputs of one controller: its own preview, and the measured wheel in terms of the data sheet's ratio."""

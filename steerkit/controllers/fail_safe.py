@@ -66,14 +66,9 @@ class FailSafe(Guard):
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         began = self.clock()
-        try:
-            y = self.inner_output(t, x, u)
-        except Exception:
-            if m.is_symbol(t):
-                raise
-            logging.getLogger("steerkit").exception("safety filter at t = %s s: %s", t, FAULTS[RAISED])
+        y, taken = self.tried("output", self.inner_output, t, x, u), self.clock() - began
+        if y is None:
             return self._instead(u, RAISED)
-        taken = self.clock() - began
         if self.budget is not None and taken > self.budget:
             logging.getLogger("steerkit").error(
                 "safety filter at t = %s s: %s, %.1f ms of %.1f ms", t, FAULTS[LATE], 1e3 * taken, 1e3 * self.budget

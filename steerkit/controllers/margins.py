@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import check_numbers, number, require
+from steerkit._support.errors import require
 from steerkit.controllers.lqr import LqrDesign, Matrices
 from steerkit.diagram.block import Block, entries_of
 from steerkit.vehicles import Vehicle
@@ -20,17 +20,13 @@ _SEEN = ("e", "e_dot", "psi_e", "beta", "r", "delta_sw_meas")
 _SMALL = 1e-5  # m, rad, ...: step of the differences; no limit of a law acts that close to a straight path
 
 
-@dataclass(frozen=True, kw_only=True)
-class Doubt:
-    """By how much a car may differ from what is believed of it. Raises ValueError for numbers out of range."""
+class Doubt(NamedTuple):
+    """By how much a car may differ from what is believed of it."""
 
-    gain: float = number(1.25, "1", low=1.0, high=10.0)
+    gain: float = 1.25
     """Angle reached over angle believed, or its inverse [1]."""
-    delay: float = number(0.05, "s", low=0.0, high=1.0)
+    delay: float = 0.05
     """Error of the sum of dead time and lag, to either side [s]."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "Doubt")
 
 
 class Law(NamedTuple):

@@ -75,10 +75,10 @@ class NfqPolicy(Policy):
         super().__post_init__()
         where = "NfqPolicy"
         actions = tuple(float(a) for a in self.actions)
-        require(len(actions) > 0, where, "actions is empty, expected at least one angle [rad]")
-        require(bool(np.isfinite(actions).all()), where, f"actions = {actions} [rad], expected finite numbers")
-        reach = max(map(abs, actions))
-        require(reach <= 4.0 * STOP, where, f"an action of {reach:g} rad, expected at most {4.0 * STOP:.0f} [rad]")
+        fits = len(actions) > 0 and all(abs(action) <= 4.0 * STOP for action in actions)
+        require(
+            fits, where, f"actions = {actions} [rad], expected one or more, each finite and within +-{4.0 * STOP:.0f}"
+        )
         object.__setattr__(self, "actions", actions)
         object.__setattr__(self, "nets", tuple(tuple(np.asarray(p) for p in net) for net in self.nets or ()))
         n = len(self.description.names)
@@ -124,10 +124,10 @@ class NfqPolicy(Policy):
         return ahead.nothing(batch) if self.preview_points else ()
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        return self._forecast.at_first(u) if self.preview_points else ()
+        return (self.forecast or _STANDS).at_first(u) if self.preview_points else ()
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        return self._forecast.remember(x, u) if self.preview_points else ()
+        return (self.forecast or _STANDS).remember(x, u) if self.preview_points else ()
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         """The greedy action, its value, and whether to be trusted with the wheel."""
@@ -158,11 +158,6 @@ class NfqPolicy(Policy):
                 action = self._between(list(values), action)
             ready = ready + np.zeros(states.shape[1:])
         return self.Y(action=m.where(sound, share * action, nan), q=q, ready=ready)
-
-    @property
-    def _forecast(self) -> DelayCompensator:
-        """The forecast; without one: of a car that stands."""
-        return self.forecast or _STANDS
 
     @functools.cached_property
     def _neighbours(self) -> tuple[tuple[int, int, int], ...]:
@@ -256,8 +251,8 @@ class NfqPolicy(Policy):
             raise ValueError(f"{path}: the policy in it does not hold together: {why}") from why
 
 
-_STANDS = DelayCompensator()
-_KEPT = (*"now before earlier back slip yaw straight trust loss nose tail fast".split(), *ahead.FELT)
+_STANDS = DelayCompensator()  # what a policy without a forecast remembers by
+_KEPT = (*ahead.ANSWER[:6], "straight", "trust", *ahead.ANSWER[6:], *ahead.FELT)
 """The numbers of a forecast, in the order of a policy's file."""
 
 

@@ -16,6 +16,7 @@ from steerkit.controllers.stanley import Stanley, StanleyState
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, without_port
 from steerkit.diagram.maths import Scalar
+from steerkit.estimators.steering_response import at as picked
 from steerkit.task import TRIP
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import GateModel, Motion, Rollout, lag_share, lag_step, slewed
@@ -426,12 +427,6 @@ class SafetyFilter(Block):
         )
         return found, (r - slow, *changes[:-1], *products, *squares)
 
-    def _yaw_doubt(self, square: Scalar) -> Scalar:
-        """Of the yaw rate now [rad/s], from the mean square of what is left of `wrong`."""
-        if self.yaw_doubt_least is None:
-            return self.yaw_doubt
-        return m.clip(3.0 * m.sqrt(square), self.yaw_doubt_least, self.yaw_doubt)
-
     def _sent(self, x: State, u: Any) -> State:
         """The commands on their way; of the last one a gate says what it made of it."""
         sent = x[len(x) - self._kept :]
@@ -451,17 +446,20 @@ class SafetyFilter(Block):
         commands = [[sent[min(k + self._later - n, last)] for n in range(self._later + 1)] for k in range(len(sent))]
         middles = range(self._soonest + (round(late) if isinstance(late, float) else self._later))
         ahead = self._ahead(preview, late, 2 * round(self.horizon / self.dt))
+        doubt: Scalar = self.yaw_doubt
+        if self.yaw_doubt_least is not None:
+            doubt = m.clip(3.0 * m.sqrt(known.wrong_square), self.yaw_doubt_least, self.yaw_doubt)
         return _Now(
             Motion(u.e, u.psi_e, u.r, u.delta_sw_meas),
             known.wheel_before,
             known.wrong,
             known.r_slow,
-            tuple([_picked(row, late) for row in commands]),
+            tuple([picked(late, row) for row in commands]),
             sent[-self._spread :],
             tuple([self._model.kappa(preview, (k + 0.5) * self.dt) for k in middles]),
             ahead,
             tuple([self._model.steady_wheel(kappa, v) for kappa in ahead[: 2 * self.hold : 2]]),
-            self._yaw_doubt(known.wrong_square),
+            doubt,
             known.widened * self.ratio_doubt,
             self._soonest + late,
         )
@@ -473,7 +471,7 @@ class SafetyFilter(Block):
             first = first + 2 * round(late)
             return tuple([model.kappa(preview, (first + k) * half) for k in range(count)])
         halves = [model.kappa(preview, (first + k) * half) for k in range(2 * self._later + count)]
-        return tuple([_picked(halves[k : k + 2 * self._later + 1 : 2], late) for k in range(count)])
+        return tuple([picked(late, halves[k : k + 2 * self._later + 1 : 2]) for k in range(count)])
 
     def _until(self, dead: Scalar, step: Callable[..., Any], values: Any) -> Any:
         """The values after so many samples (k, values) -> values."""
@@ -555,13 +553,3 @@ def doubted(late: float, widened: float) -> str:
     delay = f"commands arrive {late:.2f} s later than believed" if late > 0.0 else ""
     ratio = f"ratio and tyres doubted {widened:.1f} times as much" if widened > _SAID else ""
     return ", ".join(filter(None, (delay, ratio)))
-
-
-def _picked(values: Sequence[Scalar], index: Scalar) -> Scalar:
-    """The value of that number, which may be a symbol or one of each car of a batch."""
-    if isinstance(index, float):
-        return values[round(index)]
-    found = values[0]
-    for k, value in enumerate(values[1:], 1):
-        found = m.where(index > k - 0.5, value, found)
-    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -103,14 +104,19 @@ class Guard(Wrapper):
     The logger is `steerkit`. What is raised while a loop is traced goes through.
     """
 
-    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+    def tried(self, what: str, do: Callable[..., Any], t: Any, *rest: Any) -> Any:
+        """do(t, *rest), or None, and a line in the log, where that raises; what: the method that is tried."""
         try:
-            return super().update(t, x, u, y)
+            return do(t, *rest)
         except Exception:
             if m.is_symbol(t):  # a block that cannot be traced is no fault of a drive
                 raise
-            logging.getLogger("steerkit").exception("%s.update failed at t = %s s", type(self.block).__name__, t)
-            return x
+            logging.getLogger("steerkit").exception("%s.%s failed at t = %s s", type(self.block).__name__, what, t)
+            return None
+
+    def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
+        after = self.tried("update", super().update, t, x, u, y)
+        return x if after is None else after
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,11 +129,8 @@ class ExceptionGuard(Guard):
     """
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        try:
-            return self.inner_output(t, x, u)
-        except Exception:
-            if m.is_symbol(t):
-                raise
-            logging.getLogger("steerkit").exception("%s.output failed at t = %s s", type(self.block).__name__, t)
-            sizes = [Port(self, out).size for out in self.outputs]
-            return self.Y(*[math.nan if n is None else (math.nan,) * n for n in sizes])
+        y = self.tried("output", self.inner_output, t, x, u)
+        if y is not None:
+            return y
+        sizes = [Port(self, out).size for out in self.outputs]
+        return self.Y(*[math.nan if n is None else (math.nan,) * n for n in sizes])

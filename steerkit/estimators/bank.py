@@ -68,24 +68,11 @@ def rls_update(moments: State, x: Sequence[Scalar], dy: Scalar, keep: Scalar, ga
     nothing. x: three regressors; dy: the response less its mean before; gain: weight over the sum of all weights.
     Source: West 1979 (updating weighted means and covariances).
     """
-    mean_a, mean_b, mean_c, aa, ab, bb, ac, bc, cc, ay, by, cy = moments
-    own, (a, b, c) = weight * (1.0 - gain), x
-    da, db, dc = a - mean_a, b - mean_b, c - mean_c
-    own_b, own_c, own_y = own * db, own * dc, own * dy
-    return (  # written out: sixteen of them are a third of an estimator's time
-        mean_a + gain * da,
-        mean_b + gain * db,
-        mean_c + gain * dc,
-        keep * aa + own * da * da,
-        keep * ab + own_b * da,
-        keep * bb + own_b * db,
-        keep * ac + own_c * da,
-        keep * bc + own_c * db,
-        keep * cc + own_c * dc,
-        keep * ay + own_y * da,
-        keep * by + own_y * db,
-        keep * cy + own_y * dc,
-    )
+    own, (a, b, c) = weight * (1.0 - gain), [value - mean for value, mean in zip(x, moments)]
+    own_b, own_c, own_y = own * b, own * c, own * dy
+    more = own * a * a, own_b * a, own_b * b, own_c * a, own_c * b, own_c * c, own_y * a, own_y * b, own_y * c
+    means = [mean + gain * off for mean, off in zip(moments, (a, b, c))]
+    return (*means, *[keep * old + new for old, new in zip(moments[REGRESSORS:], more)])
 
 
 def fitted(moments: State, precision: Sequence[float], prior: Sequence[float]) -> Fit:

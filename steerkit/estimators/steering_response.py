@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from steerkit.diagram import maths as m
@@ -15,6 +16,8 @@ SLOWEST = 3.0
 
 def at(number: Scalar, values: Sequence[Scalar]) -> Scalar:
     """The value of that number, rounded half down; the first or the last where there is none."""
+    if isinstance(number, float) and math.isfinite(number):  # one car
+        return values[min(max(math.ceil(number - 0.5), 0), len(values) - 1)]
     picked = values[0]
     for i in range(1, len(values)):
         picked = m.where(number > i - 0.5, values[i], picked)

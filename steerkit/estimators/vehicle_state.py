@@ -111,6 +111,13 @@ def turned_on(before: Scalar, held: Scalar, zero: Scalar, heard: Scalar) -> tupl
 
 Rhs = Callable[[Sequence[Scalar], Scalar, Scalar], Sequence[Scalar]]
 """(x', y', psi', sway', r') = rhs((x, y, psi, sway, r), delta, v): a plant's own, on floats, batches and symbols."""
+
+
+def sway_is_speed(rhs: Rhs) -> bool:
+    """Is its sway v_y [m/s], and v the speed along the car's axis? Else it is beta [rad]."""
+    return bool(rhs((0.0, 0.0, 0.0, 0.01, 0.0), 0.0, 5.0)[1] < 0.03)
+
+
 _GAMMA = 1.0 - math.sqrt(0.5)
 _DOUBLED = 2
 """How often a step of h/4 is doubled."""
@@ -432,8 +439,7 @@ class VehicleState(Block):
 
     @cached_property
     def _sideways(self) -> bool:
-        """Is sway v_y [m/s]? Else it is beta [rad]; asked of rhs."""
-        return bool(self.rhs((0.0, 0.0, 0.0, 0.01, 0.0), 0.0, 5.0)[1] < 0.03)
+        return sway_is_speed(self.rhs)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero, nan = m.filled(0.0, batch), m.filled(math.nan, batch)

@@ -13,13 +13,14 @@ import casadi
 import numpy as np
 
 from steerkit._support.errors import number, require
-from steerkit.controllers.mpc.path_model import NX, V_HIGH, V_LOW, PathModel, Rhs
+from steerkit.controllers.mpc.path_model import NX, V_HIGH, V_LOW, PathModel
 from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Programme, Stages
 from steerkit.controllers.mpc.qp import StageQp
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.units import radians_of
+from steerkit.estimators.vehicle_state import Rhs
 from steerkit.task import STOP, TRIP
 from steerkit.vehicles.rollout import on_their_way, slewed
 

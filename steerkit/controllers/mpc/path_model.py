@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path as FilePath
@@ -17,14 +17,9 @@ from scipy.linalg import expm
 from steerkit._support.errors import require
 from steerkit.controllers.lqr import cost_to_go
 from steerkit.diagram import maths as m
+from steerkit.estimators.vehicle_state import sway_is_speed
 
 Array = NDArray[np.float64]
-Rhs = Callable[[Sequence[Any], Any, Any], Sequence[Any]]
-"""(x', y', psi', sway', r') = rhs((x, y, psi, sway, r), delta, v)
-
-A plant's own, on floats and on symbols.
-"""
-
 NX = 6
 """States of a stage: e, psi_e, sway, r, wheel angle, command."""
 V_LOW, V_HIGH, V_STEP = 0.5, 40.0, 0.25
@@ -56,8 +51,8 @@ class PathModel:
 
     @cached_property
     def sway_is_speed(self) -> bool:
-        """Is the fourth state v_y [m/s], and v the speed along the car's axis? Else it is beta [rad]; asked of rhs."""
-        return bool(self.law.rhs((0.0, 0.0, 0.0, 0.01, 0.0), 0.0, 5.0)[1] < 0.03)
+        """See `steerkit.estimators.vehicle_state.sway_is_speed`."""
+        return sway_is_speed(self.law.rhs)
 
     def motion(self, z: Sequence[Any], delta_sw: Any, v: Any, kappa: Any) -> tuple[Any, ...]:
         """(e, psi_e, sway, r)', and the speed along the path's tangent [m/s]."""
