@@ -9,4 +9,4 @@ from steerkit.scenario import Scenario
 
 run = learn(Experiment(scenario=Scenario(course="paper"), minutes=0.5, seed=1))
 policy_map(run.policy, run.experiment.scenario, visited=run.transitions).savefig("policy_map.png")
-print(f"a Q-function of {len(run.nets)} nets, from {len(run.transitions)} transitions")
+print(f"a Q-function of {len(run.policy.nets)} nets, from {len(run.transitions)} transitions")

@@ -9,11 +9,10 @@ from typing import Any
 
 from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.safety_filter import doubted
-from steerkit.diagram.loop import LoopState, Sample
+from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Recorder
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.learner_state import Counts, LearnerState, state_signals, untrained
-from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario import END_MARGIN, Scenario
@@ -131,19 +130,9 @@ class LearningRun:
         return self.learner_state.steering
 
     @property
-    def nets(self) -> nfq.Nets:
-        """The nets of that policy."""
-        return self.learner_state.policy.nets or ()
-
-    @property
     def t(self) -> float:
         """Driving time [s]."""
         return self.counts.k * self.loop.dt
-
-    @property
-    def state(self) -> LoopState:
-        """The loop's state at this moment."""
-        return LoopState(self.counts.k, tuple(self.x), tuple(self.y))
 
     def done(self) -> bool:
         """Has the experiment come to its end?"""

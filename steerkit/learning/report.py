@@ -135,10 +135,8 @@ def on_terminal(experiment: Experiment, console: Console) -> Iterator[Watcher]:
     task = bar.add_task("begins", total=60.0 * experiment.minutes, start=False)
 
     def watch(what: str, run: LearningRun) -> None:
-        if what == "stuck":
-            bar.console.print(run.counts.stuck[-1], soft_wrap=True, style="yellow")
-        if what == "doubted":
-            bar.console.print(beyond(run), soft_wrap=True, style="yellow")
+        if line := trouble(what, run):
+            bar.console.print(line, soft_wrap=True, style="yellow")
         if what == "second":
             lately.see(run)
             if not bar.tasks[0].started:  # at its first second, that of a run that goes on too
@@ -149,9 +147,10 @@ def on_terminal(experiment: Experiment, console: Console) -> Iterator[Watcher]:
         yield watch
 
 
-def beyond(run: LearningRun) -> str:
-    """What the safety filter has just found of the car beyond its doubts."""
-    return f"safety filter, at {run.t:.1f} s: {run.doubted}"
+def trouble(what: str, run: LearningRun) -> str:
+    """Why recovery cannot hand over, or what the safety filter has just found of the car beyond its doubts; else ""."""
+    doubt = f"safety filter, at {run.t:.1f} s: {run.doubted}" if what == "doubted" else ""
+    return run.counts.stuck[-1] if what == "stuck" else doubt
 
 
 def in_words(run: LearningRun, rms_e: float) -> str:
@@ -168,10 +167,8 @@ def in_lines(say: Callable[[str], None]) -> Watcher:
     the safety filter finds its doubts too small."""
 
     def watch(what: str, run: LearningRun) -> None:
-        if what == "stuck":
-            say(run.counts.stuck[-1])
-        if what == "doubted":
-            say(beyond(run))
+        if line := trouble(what, run):
+            say(line)
         if what == "round" or (what == "failed" and run.counts.failures % 5 == 0):
             say(f"{what}: {in_words(run, run.counts.episodes[-1].rms_e)}")
 

@@ -26,6 +26,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import read_bytes, write_text
 from steerkit._support.plugins import fingerprints, imported, is_outside, name_of, named_in
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.diagram.loop import LoopState
 from steerkit.diagram.simulation import Log, joined
 from steerkit.learning import costs
 from steerkit.learning.data.transitions import Transitions
@@ -88,7 +89,7 @@ KEYS = ("experiment", "checkpoint", "counts", "pending", "trusted", "before")
 """What run.json holds besides its format."""
 
 
-KINDS = {c.__name__: c for c in (Experiment, Setting, FitSetting, *costs.COSTS)}
+KINDS = {c.__name__: c for c in (Experiment, Scenario, Setting, FitSetting, *costs.COSTS)}
 """What an experiment is made of, by the names under which runs keep it; scenarios are read by `of_table`."""
 
 
@@ -97,7 +98,7 @@ def kind_of(cls: type) -> str:
 
     One of your own is `package.module:Class`, or `my_file.py:Class` if it was loaded by that name.
     """
-    if cls is Scenario or KINDS.get(cls.__name__) is cls:
+    if KINDS.get(cls.__name__) is cls:
         return cls.__name__
     name = name_of(cls)
     what = (
@@ -123,8 +124,6 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
         require(default is None, where, f"{data!r:.50}, expected a table")
         return tuple(data) if isinstance(data, list) else data
     name = str(data.get("kind", default.__name__ if default else None))
-    if name == "Scenario":
-        return of_table(data, where)
     kind: Any = _own_kind(name, where) if is_outside(name) else KINDS.get(name)
     if kind is None:
         raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(KINDS)}, package.module:Class")
@@ -176,10 +175,10 @@ def save(run: LearningRun, place: FilePath) -> None:
     pending, before = run.trainer.pending, run.learner_state.before
     (place / "nets").mkdir(exist_ok=True)
     (place / "drive").mkdir(exist_ok=True)
-    run.loop.save_state(run.state, place / f"state-{number}.npz")
+    run.loop.save_state(LoopState(run.counts.k, tuple(run.x), tuple(run.y)), place / f"state-{number}.npz")
     run.transitions.save(place / f"transitions-{number}.npz")
     policy = run.learner_state.policy
-    nets, forecast = pending[2] if pending else (run.nets, policy.forecast)
+    nets, forecast = pending[2] if pending else (policy.nets, policy.forecast)
     net = replace(policy, nets=nets, forecast=forecast, ready_from=0.0)
     net.save(net_file(place, run.counts.updates))
     replace(run.policy, ready_from=0.0).save(steering_file(place, number))
@@ -257,7 +256,9 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
         newest = NfqPolicy.load(_existing(net_file(place, updates)))
         pending = (data["pending"], updates, Learned(newest.nets or (), newest.forecast))
     run.trainer = learner_state.trainer = SimulatedTrainer(
-        seconds=run.experiment.setting.fit_seconds, nets=run.nets if updates else (), pending=pending
+        seconds=run.experiment.setting.fit_seconds,
+        nets=(learner_state.policy.nets or ()) if updates else (),
+        pending=pending,
     )
     if data["before"] is not None:  # of the last sample that was driven
         kept = data["before"]

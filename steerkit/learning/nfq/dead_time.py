@@ -348,7 +348,10 @@ def overshooting(model: CarModel, part: Transitions, description: StateDescripti
     if found["lead"] == 0.0 and found["slew"] == UNLIMITED:
         return model
     other = replace(model, **found)
-    angles = felt_record(other, part)
+    felt, s, s_next = other.felt(part), part.s.copy(), part.s_next.copy()
+    assert felt is not None
+    s[:, DOE], s_next[:, DOE] = felt.now, other.after(part.s, part.s_next[:, DOE], felt).now
+    angles = Transitions(part.names, s, part.a, s_next, part.episode, part.own)
     fitted = refined(CarModel.fit(angles, description, fast=True), angles)
     if not strays_of(fitted, angles) < BETTER * strays_of(model, part):
         return model
@@ -367,16 +370,6 @@ def _left_by(cars: Sequence[dict[str, float]], part: Transitions, row: NDArray[n
         weights = np.linalg.solve(x.T @ x + 1e-6 * np.eye(x.shape[1]), x.T @ y)
         left.append(float(np.sqrt(np.mean((x @ weights - y) ** 2))))
     return np.array(left)
-
-
-def felt_record(car: CarModel, part: Transitions) -> Transitions:
-    """The record with the angles that a car feels in place of the wheel's."""
-    angles = car.felt(part)
-    if angles is None:
-        return part
-    s, s_next = part.s.copy(), part.s_next.copy()
-    s[:, DOE], s_next[:, DOE] = angles.now, car.after(part.s, part.s_next[:, DOE], angles).now
-    return Transitions(part.names, s, part.a, s_next, part.episode, part.own)
 
 
 def strays_of(model: CarModel, part: Transitions) -> float:
