@@ -181,7 +181,12 @@ class LearningRun:
             self.loop.advance(k, self.x, self.y)
         counts.k += self.ticks
         if ended:
-            self._after_failure()
+            learner_state.train(self.t, trusted=False)
+            self.steer()
+            self._tell("failed")
+            if self.experiment.setting.after_failure == "reset":
+                self._put_back(self._value("path.s"))
+                counts.k += round(self.experiment.setting.reset_seconds / self.policy.dt) * self.ticks
         elif learning and self.safe and learner_state.corrected(self._value("safety.share")):
             learner_state.trusted = False  # recovery steers from the next sample on, and that trains
             self.steer()
@@ -194,15 +199,6 @@ class LearningRun:
         if int(self.t) > second:
             self._tell("second")
 
-    def _after_failure(self) -> None:
-        learner_state, setting = self.learner_state, self.experiment.setting
-        learner_state.train(self.t, trusted=False)
-        self.steer()
-        self._tell("failed")
-        if setting.after_failure == "reset":
-            self._put_back(self._value("path.s"))
-            self.counts.k += round(setting.reset_seconds / self.policy.dt) * self.ticks
-
     def _take_over(self) -> None:
         e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
         result = self.learner_state.take_over(self.t, e=e, e_dot=e_dot, within=self._value("supervisor.within"))
@@ -212,22 +208,17 @@ class LearningRun:
         if taken:
             self.counts.corrected = 0
             self.steer()
-            self._begin_anew()
-            supervisor = self.loop.names.index("supervisor")
+            controller, doe, supervisor = map(self.loop.names.index, ("controller", "doe", "supervisor"))
+            if len(self.policy.init()) != len(self.x[controller]):  # it begins at the element's present angle
+                y: list[Any] = list(self.y)
+                y[doe] = y[doe]._replace(state=self.x[doe][0])
+                self.x[controller] = self.loop.settled("controller", y)
             self.x[supervisor] = self.x[supervisor]._replace(fault=0.0)  # that of the policy before
         self._tell("trained" if taken else "lost")
 
     def steer(self) -> None:
         """Put the learner's policy into the loop, between two samples; the loop's state goes on."""
         self.recorder.loop = self.loop = with_controller(self.loop, self.policy)
-
-    def _begin_anew(self) -> None:
-        """A policy that remembers other things than the one before begins at the output element's present angle."""
-        controller, doe = (self.loop.names.index(name) for name in ("controller", "doe"))
-        if len(self.policy.init()) != len(self.x[controller]):
-            y: list[Any] = list(self.y)
-            y[doe] = y[doe]._replace(state=self.x[doe][0])
-            self.x[controller] = self.loop.settled("controller", y)
 
     def _put_back(self, s: float) -> None:
         """Put the car on the path at s [m]; the speed driver's state goes on."""

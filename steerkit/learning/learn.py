@@ -90,15 +90,12 @@ def _check_same(kept: Experiment, asked: Experiment, place: FilePath) -> None:
     verb = "differs" if len(differing) == 1 else "differ"
     what = f"{place} holds a run of another experiment: its {' and '.join(differing)} {verb}"
     require(not differing, "learn", f"{what}; choose another directory")
-    less = [name for name in ENDS if _later(getattr(kept, name)) > _later(getattr(asked, name))]
+    # rounds = 0: never
+    less = [name for name in ENDS if (getattr(kept, name) or math.inf) > (getattr(asked, name) or math.inf)]
     more = ", ".join(f"{name} {getattr(kept, name):g}, now {getattr(asked, name):g}" for name in less)
     require(
         not less, "learn", f"{place} holds a run of more: {more}; give as much or more, or choose another directory"
     )
-
-
-def _later(end: float) -> float:
-    return end or float("inf")  # rounds = 0: never
 
 
 def from_log(

@@ -124,9 +124,13 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
         require(default is None, where, f"{data!r:.50}, expected a table")
         return tuple(data) if isinstance(data, list) else data
     name = str(data.get("kind", default.__name__ if default else None))
-    kind: Any = _own_kind(name, where) if is_outside(name) else KINDS.get(name)
+    kind: Any = imported(name, where) if is_outside(name) else KINDS.get(name)
     if kind is None:
         raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(KINDS)}, package.module:Class")
+    fits, known = isinstance(kind, type) and is_dataclass(kind), (Scenario, Setting, FitSetting, Experiment)
+    part = fits and (issubclass(kind, known) or any("__call__" in vars(base) for base in kind.__mro__))
+    expected = "a dataclass that extends Scenario or Setting, or a cost"  # and nothing else that could be imported
+    require(part, where, f"kind '{name}' is no part of an experiment, expected {expected}")
     if issubclass(kind, Scenario):
         return of_table(data, where, kind)
     require(default is None or default is costs.TanhCost or issubclass(kind, default), where, f"is a {name}")
@@ -150,17 +154,6 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
 
 _PLAIN: dict[str, Any] = {"float": ((float, int), "a number"), "int": (int, "a whole number"), "str": (str, "a text")}
 _PLAIN |= {"bool": (bool, "true or false"), "tuple[float, ...]": (tuple, "numbers")}
-
-
-def _own_kind(name: str, where: str) -> type:
-    """A user's class: a part of an experiment, and nothing else that could be imported."""
-    kind = imported(name, where)
-    fits = isinstance(kind, type) and is_dataclass(kind)
-    known = (Scenario, Setting, FitSetting)
-    part = fits and (issubclass(kind, known) or any("__call__" in vars(base) for base in kind.__mro__))
-    expected = "a dataclass that extends Scenario or Setting, or a cost"
-    require(part, where, f"kind '{name}' is no part of an experiment, expected {expected}")
-    return kind
 
 
 def keep_in(run: LearningRun, place: FilePath) -> None:

@@ -96,12 +96,9 @@ class Programme:
         return {name: np.zeros(f.nnz_out(name)) for f in functions for name in f.name_out()}
 
     @cached_property
-    def _prepare(self) -> Callable[[], None]:
-        return in_place(self.prepare, self.found | {"given": self.given})
-
-    @cached_property
-    def _solve(self) -> Callable[[], None]:
-        return in_place(self.law.qp.solve, self.found)
+    def _calls(self) -> list[Callable[[], None]]:
+        """What prepares, and what solves."""
+        return [in_place(f, self.found | {"given": self.given}) for f in (self.prepare, self.law.qp.solve)]
 
     @property
     def size(self) -> int:
@@ -113,13 +110,14 @@ class Programme:
         if not asked > 0.0:
             return (0.0,) * self.size
         self.given[:] = values
-        self._prepare()
+        prepare, solve = self._calls
+        prepare()
         ahead, rates = self.found["ahead"].tolist(), [0.0] * self.law.horizon
         if asked < SOLUTION:
             return (0.0, 0.0, 0.0, *ahead, *rates)
         if not math.isfinite(float(self.found["lba"].sum())):  # CasADi would raise an error
             return (0.0, 0.0, math.inf, *ahead, *rates)
-        self._solve()
+        solve()
         residual = float(self.found["residual"][0])
         report = self.law.qp.solver.stats(self._memory)
         if math.isfinite(residual):

@@ -215,7 +215,11 @@ def replay(record: Record, number: int, *, margin: float = 2.0) -> Figure:
     marks = [("o", at[0], COLOURS["ink"]), *([("X", at[-1], COLOURS["limit"])] if episode.failed else [])]
     for mark, k, colour in marks:
         course.plot(x[k], y[k], mark, color=colour, ms=7, zorder=4)
-    _look_at(course, x[inside], y[inside])
+    half = 6.0 + 0.55 * max(float(np.ptp(x[inside])), float(np.ptp(y[inside])))
+    for name, values in (("x", x[inside]), ("y", y[inside])):  # a square map with room around them
+        middle = 0.5 * float(values.min() + values.max())
+        course.set(**{f"{name}lim": (middle - half, middle + half), f"{name}label": f"{name} [m]"})
+    course.set_aspect("equal")
     figure.colorbar(dots, ax=course, label="|e| [m]", location="bottom", shrink=0.8, aspect=40)
     for axis in (e, psi, wheel, act):
         for span in ((t[0], 0.0), (ended - began, t[-1])):
@@ -271,12 +275,3 @@ def draw_all(
         files.append(folder / f"{name}.png")
         save(draw(), files[-1])
     return files
-
-
-def _look_at(course: Axes, x: Array, y: Array) -> None:
-    """A square map of x and y with room around them."""
-    half = 6.0 + 0.55 * max(float(np.ptp(x)), float(np.ptp(y)))
-    for name, values in (("x", x), ("y", y)):
-        middle = 0.5 * float(values.min() + values.max())
-        course.set(**{f"{name}lim": (middle - half, middle + half), f"{name}label": f"{name} [m]"})
-    course.set_aspect("equal")
