@@ -18,7 +18,6 @@ from steerkit.car.client import CarClient
 from steerkit.car.config import CarConfig
 from steerkit.car.estimates import DOUBTED, DROVE, EARLIER, QUANTITIES, changes, earlier, known_in, report
 from steerkit.car.loop import Follow
-from steerkit.car.panel import Panel
 from steerkit.car.protocol import ESTIMATES, Remark
 from steerkit.car.state_machine import Mode
 from steerkit.diagram import realtime
@@ -262,12 +261,6 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
         guided = Guided(
             config=here.config, path=here.path, link=here.link, base=base, minutes=minutes, say=not here.live
         )
-        with Panel(here, f"calibration, {base}", guided.status, "guide"):
-            run = realtime.run(
-                guided.follow.resting,
-                timer=here.clock,
-                watch=lambda live: guided.step(live) or here.watch(live),
-                on_miss=lambda live: loops.count_misses(live, here.link),
-            )
+        run = sessions.guided(here, f"calibration, {base}", guided, "guide")
     figures = sessions.finished(here, run)
     return figures | from_recording(FilePath(here.recording), out, say=not options.quiet)

@@ -45,23 +45,15 @@ ENDING = " qo"
 HELD = 1.0
 """A key `e` that comes again so soon is one that is held down, and engages nothing [s]."""
 NEXT = {
-    Mode.OFF: "r arms",
-    Mode.STANDBY: "wait until nothing is against it",
-    Mode.READY: "e engages",
-    Mode.ENGAGED: "any key lets go",
-    Mode.OVERRIDE: "a acknowledges",
-    Mode.FAULT: "a acknowledges",
+    Mode.OFF: ("white", "r arms"),
+    Mode.STANDBY: ("yellow", "wait until nothing is against it"),
+    Mode.READY: ("cyan", "e engages"),
+    Mode.ENGAGED: ("green", "any key lets go"),
+    Mode.OVERRIDE: ("magenta", "a acknowledges"),
+    Mode.FAULT: ("red", "a acknowledges"),
 }
-"""The way on to ENGAGED."""
+"""A mode's colour, and the way on to ENGAGED."""
 HELP = "space let go · e engage · a acknowledge · r arm · o off · q quit"
-COLOURS = {
-    Mode.OFF: "white",
-    Mode.STANDBY: "yellow",
-    Mode.READY: "cyan",
-    Mode.ENGAGED: "green",
-    Mode.OVERRIDE: "magenta",
-    Mode.FAULT: "red",
-}
 STEERS = {None: "", True: " by the learner", False: " by the recovery controller"}
 SHOWN = {name: f"car.{name}" for name in Snapshot._fields if name not in ("t", "mode", "holder", "text")}
 SHOWN |= {"e": "path.e", "psi_e": "path.psi_e", "command": "gate.delta_sw"}
@@ -168,7 +160,7 @@ class Panel:
                     link.refused.clear()
                 if not self.live and (last is None or snapshot.mode is not last.mode):
                     held = f"held by {snapshot.holder}; " if snapshot.holder else ""
-                    print(f"{line_of(snapshot)} ({held}{NEXT[snapshot.mode]})", flush=True)
+                    print(f"{line_of(snapshot)} ({held}{NEXT[snapshot.mode][1]})", flush=True)
                 if not self.live and said not in ("", told):
                     print(said, flush=True)
                 told = said
@@ -192,7 +184,7 @@ class Panel:
 
     def _picture(self, s: Snapshot, said: str) -> Any:
         cause, *against = s.text.split("\n")
-        here, timing = self.session, self.session.timing
+        here, timing, (colour, way) = self.session, self.session.timing, NEXT[s.mode]
         asked = "nothing yet" if here.asked is None else f"{degrees_of(here.asked):+.1f} deg"
         sent = f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
         who = STEERS[here.learner_steers] if s.mode is Mode.ENGAGED else ""
@@ -202,9 +194,9 @@ class Panel:
             and f"{timing.steps}, misses {timing.misses}, p99 {1e3 * timing.jitter(0.99):.2f} ms late"
         )
         rows: list[tuple[str, Any]] = [
-            ("state", Text(f"{s.mode}", style=f"bold {COLOURS[s.mode]}")),
+            ("state", Text(f"{s.mode}", style=f"bold {colour}")),
             ("cause", cause),
-            ("next", NEXT[s.mode]),
+            ("next", way),
             ("held by", s.holder and f"{s.holder}{' (this panel)' if s.holder == self.name else ''}"),
             ("e, psi_e", f"{s.e:+.3f} m   {degrees_of(s.psi_e):+.1f} deg"),
             ("wheel", f"{degrees_of(s.delta_sw):+.1f} deg, sent {sent}, asked for {asked}{who}"),

@@ -63,14 +63,21 @@ def start_car_server(
     process = start("server", {"config": config, "socket": socket_path, **options}, stdout=log, stderr=log)
     end = time.monotonic() + wait
     while time.monotonic() < end and process.poll() is None:
-        try:
-            CarClient(socket_path, controller=False).close()
+        if answers(socket_path):
             return process
-        except CarLost:
-            time.sleep(0.05)
+        time.sleep(0.05)
     process.terminate()
     said = last_line(log.name) if log else ""
     raise CarLost(f"the car server did not come up: {said or f'no answer within {wait:g} s'}")
+
+
+def answers(socket_path: str) -> bool:
+    """Is there a car server?"""
+    try:
+        CarClient(socket_path, controller=False).close()
+    except CarLost:
+        return False
+    return True
 
 
 def last_line(log: str) -> str:

@@ -19,7 +19,7 @@ from steerkit.car import session as sessions
 from steerkit.car.client import CarClient
 from steerkit.car.config import CarConfig, loaded
 from steerkit.car.loop import Follow, Steers
-from steerkit.car.panel import Panel, line_of, ring
+from steerkit.car.panel import line_of, ring
 from steerkit.car.production.platforms import platform
 from steerkit.car.protocol import Remark, Snapshot
 from steerkit.car.state_machine import Mode, Order
@@ -398,12 +398,6 @@ def drive(
         here.link.wait(timeout=10.0)
         how: dict[str, Any] = {"base": base, "repeats": repeats, "minutes": minutes, "yes": yes, "say": not here.live}
         proving = Proving(config=here.config, path=here.path, link=here.link, manoeuvre=manoeuvre, **how)
-        with Panel(here, f"{manoeuvre.name}, {base}", proving.status, "prove", {KEY: proving.consent}):
-            run = realtime.run(
-                proving.follow.resting,
-                timer=here.clock,
-                watch=lambda live: proving.step(live) or here.watch(live),
-                on_miss=lambda live: loops.count_misses(live, here.link),
-            )
+        run = sessions.guided(here, f"{manoeuvre.name}, {base}", proving, "prove", {KEY: proving.consent})
     figures = sessions.finished(here, run)
     return figures | {"runs": runs_in(here.recording), "valid": proving.valid}

@@ -413,17 +413,10 @@ def parse(data: bytes, used: bool = False) -> Recorded:
         if data.startswith(_MAGIC) and not _BEGIN.startswith(data[: len(_BEGIN)]):
             raise ValueError("an MCAP file of another program, not a recording of steerkit")
         raise ValueError("no recording of steerkit, or cut off before it began")
-    _check_protocol(metadata)
+    then, wanted, maker = metadata.get("protocol"), str(protocol.VERSION), metadata.get("steerkit-control", "unknown")
+    hint = f"this is {wanted}; replay it with the steerkit that made it, {maker}"
+    require(then in (None, wanted), f"a recording of protocol {then}", hint)
     return Recorded(metadata, messages, gaps, len(data), used)
-
-
-def _check_protocol(metadata: dict[str, str]) -> None:
-    wanted = str(protocol.VERSION)
-    if metadata.get("protocol", wanted) != wanted:
-        raise ValueError(
-            f"a recording of protocol {metadata['protocol']}, this is {wanted}; replay it with the steerkit that made "
-            f"it, {metadata.get('steerkit-control', 'of an unknown version')}"
-        )
 
 
 def _pieces(data: bytes) -> Iterator[tuple[int, int, list[Message]]]:

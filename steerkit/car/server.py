@@ -249,7 +249,8 @@ class CarServer:
                 message = self._bus.recv(0.1)
             except Exception as error:
                 message = error
-                if _is_garbled(error):  # a line that is no frame: counted, not the end
+                if isinstance(error, (ValueError, IndexError)) or isinstance(error.__cause__, ValueError):
+                    # a line that is no frame, which python-can cannot read: counted, not the end
                     garbled.append(time.monotonic())
                     if len(garbled) < MAX_GARBLED or garbled[-1] - garbled[0] > 1.0:
                         self._put((self.clock.now(), -1, str(error.__cause__ or error).encode()[:200], "bad"))
@@ -293,11 +294,6 @@ class CarServer:
         self._frames.put(item)
         with contextlib.suppress(OSError):
             os.write(self._wake, b".")
-
-
-def _is_garbled(error: Exception) -> bool:
-    """Did the adapter send what python-can cannot read, rather than nothing any more?"""
-    return isinstance(error, (ValueError, IndexError)) or isinstance(error.__cause__, ValueError)
 
 
 def _open(arguments: dict[str, Any], listen_only: bool) -> Any:

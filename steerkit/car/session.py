@@ -32,7 +32,7 @@ from steerkit.car.panel import Panel
 from steerkit.car.processes import OF
 from steerkit.car.protocol import Adapted, Filtered, digest
 from steerkit.car.state_machine import Order
-from steerkit.diagram.realtime import Run, Timing, preferred
+from steerkit.diagram.realtime import Run, Timing, preferred, run
 from steerkit.learning.rundir import this_process
 from steerkit.learning.settings import Setting
 from steerkit.scenario.catalogue import AUTO, RECOVERIES
@@ -126,7 +126,7 @@ def session(options: Options) -> Iterator[Session]:
                 started.append(process)
             here = Session(options, socket, channel)
             here.signals = signals
-            if options.simulated or not os.path.exists(socket) or not _answers(socket):
+            if options.simulated or not processes.answers(socket):
                 text = stack.enter_context(_claimed(place := _new_recording(options.recording)))
                 here.recording, log = str(place), text.name
                 how: dict[str, Any] = {"recording": here.recording, "channel": channel, "log": text}
@@ -188,14 +188,6 @@ def _ended_in_order() -> Iterator[list[str]]:
             signal.signal(number, handler)
 
 
-def _answers(socket: str) -> bool:
-    try:
-        CarClient(socket, controller=False).close()
-    except CarLost:
-        return False
-    return True
-
-
 def _new_recording(recording: str) -> FilePath:
     """A new file to record to, in a folder that is made; without a name, called by the time, numbered in a second."""
     now = f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -244,6 +236,17 @@ def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
             watch=here.watch,
         )
     return finished(here, run)
+
+
+def guided(here: Session, title: str, guide: Any, about: str, own: Mapping[str, Any] | None = None) -> Run:
+    """Drive as `guide` has it, with `follow`, `step` and `status`, until it ends or the human does; as of `Panel`."""
+    with Panel(here, title, guide.status, about, own):
+        return run(
+            guide.follow.resting,
+            timer=here.clock,
+            watch=lambda live: guide.step(live) or here.watch(live),
+            on_miss=lambda live: loops.count_misses(live, here.link),
+        )
 
 
 def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, seed: int) -> dict[str, Any]:
