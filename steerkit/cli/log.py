@@ -66,7 +66,8 @@ def log(
         found.drive.to_log().save(csv)
         console.print(f"table: {csv}", soft_wrap=True)
     if as_json:
-        answer = {"channels": found.table(), "notes": list(found.notes), "trouble": found.trouble}
+        rows = [{k: v if v == v else None for k, v in row.items()} for row in found.rows]
+        answer = {"channels": rows, "notes": list(found.notes), "trouble": found.trouble}
         print(json.dumps(answer | {"seconds": float(found.drive.t[-1]) if found.drive else None}))
 
 
@@ -80,19 +81,11 @@ def _report(console: Any, found: Any, said: str) -> None:
     columns = ("unit", "samples", "rate", "from", "to", "gaps", "range", "read as")
     table = Table(Column("channel", overflow="fold"), *columns, title=found.log.name)
     for row in found.rows:
-        gaps = f"{row.gaps}, {row.longest:.3g} s" if row.gaps else "none"
-        spoilt = f", {row.invalid} no number" if row.invalid else ""
-        table.add_row(
-            escape(row.name),
-            escape(row.unit or "?"),
-            str(row.samples),
-            f"{row.rate:.4g} Hz",
-            f"{row.begin:.10g}",
-            f"{row.end:.10g}",
-            gaps,
-            f"{row.low:.4g} to {row.high:.4g}{spoilt}",
-            row.quantity,
-        )
+        gaps = "{gaps}, {longest:.3g} s" if row["gaps"] else "none"
+        spoilt = ", {invalid} no number" if row["invalid"] else ""
+        texts = ("{samples}", "{rate:.4g} Hz", "{begin:.10g}", "{end:.10g}", gaps, "{low:.4g} to {high:.4g}" + spoilt)
+        numbers = [text.format(**row) for text in texts]
+        table.add_row(escape(row["name"]), escape(row["unit"] or "?"), *numbers, row["quantity"])
     console.print(table)
     for note in found.notes:
         console.print(escape(note), soft_wrap=True, highlight=False)

@@ -32,11 +32,16 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
     persistent = trace.persistent
     state = "".join(f"s{slot}, " for slot in persistent)
     lines = ["def run(k, stop, slots, parameters, rows):"]
-    lines += [*_locals(trace), "    append = rows.append", "    try:", "        for k in range(k, stop):"]
-    for number, (tick, _) in enumerate(trace.kinds):
+    lines += [f"    {name}_ = {name}" for name in sorted(FUNCTIONS - {"floor"})]  # local names are found quickly
+    lines += [f"    s{slot} = slots[{slot}]" for slot in persistent]
+    lines += [f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))]
+    lines += ["    append = rows.append", "    try:", "        for k in range(k, stop):"]
+    last = len(trace.kinds) - 1
+    for number, (tick, own) in enumerate(trace.kinds):
         pad = " " * 12
-        if len(trace.kinds) > 1:
-            lines.append(f"{pad}{_condition(trace, number)}:")
+        if last:
+            phases = f"if k % {len(trace.ticks)} in {tuple(own)}"
+            lines.append(f"{pad}{f'el{phases}' if number else phases}:" if number < last else f"{pad}else:")
             pad += "    "
         roots = [tick.roots[slot] for slot in (*persistent, *recorded)]
         code, names = _statements(tick.graph, roots, trace)
@@ -55,22 +60,6 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
     ]
 
 
-def _locals(trace: Trace) -> list[str]:
-    """Names that are found quickly."""
-    return [
-        *[f"    {name}_ = {name}" for name in sorted(FUNCTIONS - {"floor"})],
-        *[f"    s{slot} = slots[{slot}]" for slot in trace.persistent],
-        *[f"    p{i} = parameters[{i}]" for i in range(len(trace.parameters))],
-    ]
-
-
-def _condition(trace: Trace, number: int) -> str:
-    """What holds in the phases of a kind of tick, beginning with if, elif or else: one of several kinds."""
-    if number == len(trace.kinds) - 1:
-        return "else"
-    return f"{'elif' if number else 'if'} k % {len(trace.ticks)} in {tuple(trace.kinds[number][1])}"
-
-
 def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[str], list[str]]:
     """Assignments, and the names of the roots. What is used once is written where it is used."""
     order, root_nodes = graph.order(roots), set(roots)
@@ -83,7 +72,8 @@ def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[
         if op == "const":
             text[i] = _number(float.fromhex(operands[0]))
         elif op == "in":
-            text[i] = _input(operands[0], len(trace.layout))
+            slot, slots = operands[0], len(trace.layout)
+            text[i] = "k" if slot == 0 else f"s{slot - 1}" if slot <= slots else f"p{slot - slots - 1}"
         elif op == "row":
             table, index, column = operands
             if (table, index) not in rows:
@@ -120,7 +110,3 @@ def _expression(op: str, parts: Sequence[str]) -> str:
 
 def _number(value: float) -> str:
     return f"({value!r})" if value < 0.0 or value != value else repr(value)
-
-
-def _input(slot: int, slots: int) -> str:
-    return "k" if slot == 0 else f"s{slot - 1}" if slot <= slots else f"p{slot - slots - 1}"

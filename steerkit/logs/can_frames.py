@@ -136,7 +136,8 @@ class Decoder:
         message = self._messages.get(key)
         if message is None:
             return
-        values, held = dict[str, Any](), float(_holds_sum(identifier, data))
+        total = sum(divmod(identifier, 256)) + len(data) + sum(data[:-1])  # as the last byte is in many cars
+        values, held = dict[str, Any](), float(len(data) > 1 and total % 256 == data[-1])
         try:
             values = message.decode(data, decode_choices=False)
         except Exception:  # cantools, bitstruct: a frame too short, a multiplexer of no meaning
@@ -191,11 +192,6 @@ def _opendbc(name: str) -> str:
     names = sorted({*made, *(file.stem for file in folder.glob("*.dbc"))})
     known(name, names, "--dbc")
     return made[name] if name in made else (folder / f"{name}.dbc").read_text(encoding="utf-8", errors="replace")
-
-
-def _holds_sum(frame_id: int, data: bytes) -> bool:
-    """Is the last byte the sum of the identifier, the length and all other bytes, as in many cars?"""
-    return len(data) > 1 and (sum(divmod(frame_id, 256)) + len(data) + sum(data[:-1])) % 256 == data[-1]
 
 
 def _table(message: Any, rows: array[float], notes: list[str]) -> Table | None:

@@ -75,11 +75,6 @@ def candidates(quantity: str, channels: Mapping[str, Channel]) -> list[str]:
     return [name for *_, name in sorted(ranked)]
 
 
-def is_time(name: str) -> bool:
-    """Does a column of that name hold the time?"""
-    return place("t", name) is not None
-
-
 def _rank(quantity: str, channel: Channel) -> int | None:
     found = place(quantity, channel.name)
     if channel.means:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,28 +15,10 @@ from steerkit.logs.drive import Drive
 from steerkit.logs.reading import RawLog, drive_of
 from steerkit.plots.style import COLOURS, new_figure, style
 
-
-class Row(NamedTuple):
-    """One channel in numbers."""
-
-    name: str
-    unit: str
-    samples: int
-    rate: float
-    """By the usual step [Hz]."""
-    begin: float
-    """Of the first sample, in the file's time [s]."""
-    end: float
-    gaps: int
-    """Steps of more than five usual ones, and 0.25 s."""
-    longest: float
-    """The longest step [s]."""
-    low: float
-    high: float
-    invalid: int
-    """Samples that are no number."""
-    quantity: str
-    """What a drive takes it for; empty: nothing. In brackets: it could, another one is better."""
+Row = dict[str, Any]
+"""One channel in numbers: name, unit, samples, rate by the usual step [Hz], begin and end in the file's time [s], gaps
+(steps of more than five usual ones, and 0.25 s), the longest step [s], low, high, samples that are invalid, and the
+quantity that a drive takes it for; empty: none. In brackets: it could, another one is better. NaN: not known."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,10 +33,6 @@ class Contents:
     """Why it makes none."""
     notes: tuple[str, ...]
     """What was read as what, what was repaired, and what else holds the same."""
-
-    def table(self) -> list[dict[str, Any]]:
-        """The rows as a program would read them."""
-        return [{k: v if v == v else None for k, v in row._asdict().items()} for row in self.rows]
 
 
 def contents(log: RawLog, columns: ColumnMap | None = None, *, steer_ratio: float | None = None) -> Contents:
@@ -129,11 +107,11 @@ def _drive(drive: Drive) -> Any:
 
 
 def _channels(found: Contents) -> Any:
-    shown = sorted(found.rows, key=lambda row: (not row.quantity, found.rows.index(row)))[:MOST]
+    shown = sorted(found.rows, key=lambda row: not row["quantity"])[:MOST]
     figure, axes = new_figure(len(shown), map_beside=False, title=f"{found.log.name}: no drive in it")
     for ax, row in zip(axes, shown):
-        channel = found.log.channels[row.name]
+        channel = found.log.channels[row["name"]]
         ax.plot(channel.t, channel.values, color=COLOURS["learned"], lw=0.8)
-        ax.set_title(f"{row.name} [{row.unit or '?'}]", fontsize=7, loc="left")
+        ax.set_title(f"{row['name']} [{row['unit'] or '?'}]", fontsize=7, loc="left")
     axes[-1].set_xlabel("t [s], as in the file")
     return figure

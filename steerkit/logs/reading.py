@@ -14,8 +14,9 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit._support.files import LARGEST, opened, refuse_workbook
+from steerkit._support.quantities import place
 from steerkit.logs import can_frames, ros, tables
-from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, candidates, is_command, is_time, unit_of
+from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, candidates, is_command, unit_of
 from steerkit.logs.drive import ODD, Drive, aligned, in_metres, in_order, odd_values
 
 LONGEST = 0.5
@@ -332,7 +333,7 @@ def _clock(table: Table, time: Column | None, where: str) -> str:
     """The column that holds the time."""
     if time is not None and time.name in table.columns:
         return time.name
-    known = [name for name in table.columns if is_time(name)]
+    known = [name for name in table.columns if place("t", name) is not None]
     require(
         known,
         where,
@@ -345,7 +346,8 @@ def _clock(table: Table, time: Column | None, where: str) -> str:
 def _mcap(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     with path.open("rb") as stream:
         head = stream.read(64)
-    return (tables.read_own if tables.is_own(head) else ros.read_ros)(path, dbc, notes)
+    other = head.startswith(b"\x89MCAP0\r\n") and b"steerkit" not in head  # a spoilt head may be a car server's
+    return (ros.read_ros if other else tables.read_own)(path, dbc, notes)
 
 
 _READERS: dict[str, Callable[[Path, tuple[str, ...], list[str]], list[Table]]] = {

@@ -161,7 +161,8 @@ def resimulate(
         model = DesignModel(vehicle=vehicle, path=on, delay=delay, lag=lag, hold=SteeringActuator.dt)
         return make_controller(controller, model)
 
-    ahead = _reference(designed(straight), vehicle)
+    law = bare(designed(straight))
+    ahead = float(getattr(law, "reference", float(vehicle.l_f)))  # where the controller looks at e
     path = way(drive, ahead=float(vehicle.l_r) + ahead)
     speeds = np.interp(np.arange(0.0, drive.t[-1] + DT, DT), drive.t, drive.v)
     plant = NonlinearSingleTrack(vehicle=vehicle, v0=max(float(speeds[0]), 0.1), x0=float(vehicle.l_r))
@@ -213,13 +214,6 @@ def way(drive: Drive, *, ahead: float = 0.0) -> Path:
     more = xy[-1] + np.outer(np.arange(1, 26) * _SPACING, on)
     before = xy[0] - np.outer(np.arange(5, 0, -1) * _SPACING, (1.0, 0.0))
     return Path.from_waypoints(np.vstack((before, xy, more)), closed=False, spacing=_SPACING, name=drive.name)
-
-
-def _reference(controller: Any, vehicle: Vehicle) -> float:
-    """Where a controller looks at e [m ahead of the centre of gravity]: its own point, else the front axle."""
-    law: Any = bare(controller)
-    reference: float = getattr(law, "reference", float(vehicle.l_f))
-    return float(reference)
 
 
 def _run(loop: Loop, seconds: float, progress: bool) -> Log:

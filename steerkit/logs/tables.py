@@ -151,11 +151,6 @@ _MEANS = {**{name: name for name in ("delta_sw", "v", "r", "psi", "x", "y")}, "l
 """Name in the configuration to the quantity of a drive; the units there are those of `DIMENSION`."""
 
 
-def is_own(head: bytes) -> bool:
-    """Do these first bytes of an .mcap begin a recording of a car server, or nothing that another program wrote?"""
-    return b"steerkit" in head or not head.startswith(b"\x89MCAP0\r\n")
-
-
 def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     """What the car's frames say of steering wheel, speed, yaw rate, heading and place, each on its own clock."""
     optional("cantools", f"{path}: the recording of a car", "car")

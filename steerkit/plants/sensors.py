@@ -85,12 +85,6 @@ class Sensors(_Sensing):
         drifts: Any = dict(position_drift=0.01, psi_drift=radians_of(0.1), drift_time=2.0)
         return cls(**drifts, r_noise=radians_of(0.2), latency=0.05, seed=seed)
 
-    @classmethod
-    def real(cls, seed: int = 0) -> Self:
-        """As `hard`, and what a car in series has: a speed from its wheels with 0.05 m/s of noise.
-        `DegradedSensors.real` adds what goes wrong on the way, and has no sideslip."""
-        return replace(cls.hard(seed), v_noise=0.05)
-
     def scaled(self, size: float) -> Self:
         """The same with all noise and drift `size` times as large."""
         names = ("position_noise", "position_drift", "psi_noise", "psi_drift", "v_noise", "beta_noise", "r_noise")
@@ -201,11 +195,11 @@ class DegradedSensors(_Sensing):
 
     @classmethod
     def real(cls, vehicle: Vehicle, seed: int = 0) -> Self:
-        """A production car with a good satellite receiver: `Sensors.real`, up to 20 ms of jitter, one sample in a
-        hundred lost, jumps of 2 cm every 20 s, a heading that wanders by 0.2 degrees within minutes, sideslip unknown.
-        """
+        """A production car with a good satellite receiver: `Sensors.hard` with 0.05 m/s of noise on the wheels' speed,
+        up to 20 ms of jitter, one sample in a hundred lost, jumps of 2 cm every 20 s, a heading that wanders by 0.2
+        degrees within minutes, sideslip unknown."""
         faults: Any = dict(age_jitter=0.02, lost=0.01, jump=0.02, heading_drift=radians_of(0.2))
-        return cls(block=Sensors.real(seed), rear=vehicle.l_r, **faults)
+        return cls(block=replace(Sensors.hard(seed), v_noise=0.05), rear=vehicle.l_r, **faults)
 
     def scaled(self, size: float) -> Self:
         """The same with all errors but the age `size` times as large; `lost` too, up to a half."""

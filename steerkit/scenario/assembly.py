@@ -126,7 +126,9 @@ def steering_loop(
     if recovery is not None:
         bench.add("recovery", recovery)
         bench.control(recovery, tracker, seen, steered, doe)
-        judge = bench.add("supervisor", supervisor or _supervisor(controller, doe))
+        element = doe.element if isinstance(doe, Corrected) else doe  # an angle that it cannot mean is a fault
+        most = element.limit if isinstance(element, OutputElement) else Supervisor.limit
+        judge = bench.add("supervisor", supervisor or Supervisor(dt=controller.dt, limit=most))
         if foresight is None:
             bench.wire(tracker, "e", judge, "e")
         else:
@@ -177,13 +179,6 @@ def with_controller(loop: Loop, controller: Block) -> Loop:
     a policy while the loop's state goes on."""
     guarded = isinstance(loop.blocks["controller"], ExceptionGuard)
     return loop.with_block("controller", _guarded(controller) if guarded else controller)
-
-
-def _supervisor(controller: Block, doe: Block | None) -> Supervisor:
-    """One that takes an angle for a fault that the learner's output element cannot mean."""
-    element = doe.element if isinstance(doe, Corrected) else doe
-    limit: Any = element.limit if isinstance(element, OutputElement) else Supervisor.limit
-    return Supervisor(dt=controller.dt, limit=limit)
 
 
 def _guarded(controller: Block) -> ExceptionGuard:

@@ -74,7 +74,8 @@ class Sweep:
         for panel, metric, colour in zip(panels, metrics, [*PALETTE] * len(metrics)):
             unit = METRICS[metric].unit if metric in METRICS else "1"
             label = f"{metric} [{unit}]".removesuffix(" [1]")
-            scales = dict(zip(("xscale", "yscale"), map(_scale, self.values.values())))
+            in_log = [len(v) > 2 and min(v) > 0.0 and np.ptp(np.diff(np.log(v))) < 1e-6 for v in self.values.values()]
+            scales = {name: "log" if log else "linear" for name, log in zip(("xscale", "yscale"), in_log)}
             if len(names) == 1:
                 panel.plot(self.values[names[0]], self[metric], "." if len(self[metric]) == 1 else "-", color=colour)
                 panel.set(ylabel=label, **scales)
@@ -85,11 +86,6 @@ class Sweep:
                 panel.set(ylabel=names[1], **scales)
         panels[-1].set_xlabel(names[0])
         return figure
-
-
-def _scale(values: np.ndarray) -> str:
-    even = len(values) > 2 and min(values) > 0.0 and np.ptp(np.diff(np.log(values))) < 1e-6
-    return "log" if even else "linear"
 
 
 def sweep(

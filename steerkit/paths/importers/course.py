@@ -104,18 +104,16 @@ def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
 def path_in(text: str, columns: Mapping[str, Array], name: str, closed: bool | None) -> Path:
     """The same, of a text whose columns have been read."""
     said = stated(text)
-    if closed is None:
-        closed = said[0] if said else _meets_itself(placed(columns, name)[0])
+    if closed is None and not said:
+        xy = placed(columns, name)[0]
+        near = max(5.0, 3.0 * float(np.median(distances(xy)))) if len(xy) > 2 else 0.0
+        closed = math.dist(xy[0], xy[-1]) <= near
+    closed = said[0] if said and closed is None else bool(closed)
     path = Path.of_columns(columns, name, closed=closed, name=name.removesuffix(".csv"))
     if said and closed == said[0]:
         check_stated(said[1], path.length, 0.05 + 1e-4 * path.length, name)
     place = re.search(r"^# origin (-?[\d.]+), (-?[\d.]+) deg$", text, re.MULTILINE)
     return replace(path, origin_deg=(float(place[1]), float(place[2]))) if place else path
-
-
-def _meets_itself(points: Array) -> bool:
-    steps = distances(points)
-    return len(points) > 2 and float(np.hypot(*(points[-1] - points[0]))) <= max(5.0, 3.0 * float(np.median(steps)))
 
 
 def laid(

@@ -61,7 +61,7 @@ def commonroad(file: str) -> Map:
         refs = [get(node, "ref") for node in record.findall("trafficSignRef")]
         pieces[name] = Piece(
             group=name,
-            length=_length(line),
+            length=float(distances(line).sum()),
             next=tuple(get(node, "ref") for node in record.findall("successor")),
             line=partial(_limited, line, limits[:1], signs, refs),
             about=" ".join(kind),
@@ -124,10 +124,6 @@ def _between(left: Array, right: Array) -> Array:
     if wide.max() < 0.1:
         raise ValueError("its bounds are one line")
     return np.asarray(0.5 * (left + right))
-
-
-def _length(xy: Array) -> float:
-    return float(distances(xy).sum())
 
 
 class _Osm:
@@ -211,7 +207,10 @@ def _lanelets(data: _Osm, faulty: dict[str, str]) -> dict[str, Piece]:
         if tags.get("subtype", "road") not in ("road", "highway", "play_street", "bus_lane", "road_shoulder"):
             continue
         try:
-            left, right = _aligned(_chained(left_ways, data), _chained(right_ways, data), data)
+            left, right = _chained(left_ways, data), _chained(right_ways, data)
+            a, b = data.find(left), data.find(right)
+            # in the direction of driving each has the other on its side, wherever along the road they begin
+            left, right = left if _beside(a, b) < 0.0 else left[::-1], right if _beside(b, a) > 0.0 else right[::-1]
             line = _between(*_matched(data.find(left), data.find(right)))
         except ValueError as error:
             faulty[name] = str(error)
@@ -221,7 +220,7 @@ def _lanelets(data: _Osm, faulty: dict[str, str]) -> dict[str, Piece]:
     return {
         name: Piece(
             group=name,
-            length=_length(line),
+            length=float(distances(line).sum()),
             next=tuple(begins.get(end, ())),
             line=partial(_limited, line, _speeds(tags.get("speed_limit", ""))),
             about=tags.get("location", ""),
@@ -249,12 +248,6 @@ def _chained(names: list[str], data: _Osm) -> list[int]:
     if len(nodes) < 2:
         raise ValueError("a bound of fewer than two nodes")
     return nodes
-
-
-def _aligned(left: list[int], right: list[int], data: _Osm) -> tuple[list[int], list[int]]:
-    """The bounds in the direction of driving: each has the other on its side, wherever along the road they begin."""
-    a, b = data.find(left), data.find(right)
-    return (left if _beside(a, b) < 0.0 else left[::-1]), (right if _beside(b, a) > 0.0 else right[::-1])
 
 
 def _beside(line: Array, points: Array) -> float:
@@ -299,7 +292,7 @@ def _ways(data: _Osm, faulty: dict[str, str]) -> dict[str, Piece]:
         twin = called.removesuffix("-") if called.endswith("-") else f"{called}-"
         pieces[called] = Piece(
             group=name,
-            length=_length(xy),
+            length=float(distances(xy).sum()),
             next=tuple(after for after in begins.get(part[-1], ()) if after != twin),
             line=partial(_limited, xy, _speeds(tags.get("maxspeed", ""))),
             back=called.endswith("-"),

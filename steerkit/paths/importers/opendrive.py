@@ -217,22 +217,18 @@ def read(file: str) -> tuple[dict[str, Road], Links, list[str], dict[str, str]]:
             told.update(roads[name].notes)
         else:
             for connection in record.findall("connection"):
-                _connect(get(record, "id"), connection, junctions)
+                incoming, through = connection.get("incomingRoad"), connection.get("connectingRoad")
+                if incoming is not None and through is not None:  # no lane leads through a direct or virtual one
+                    contact = get(connection, "contactPoint", "start")
+                    for link in connection.findall("laneLink"):
+                        key = get(record, "id"), incoming, _whole(link, "from")
+                        junctions.setdefault(key, []).append((through, contact, _whole(link, "to")))
     return (
         roads,
         junctions,
         [f"{what}{f' (in {count} roads)' if count > 1 else ''}: read but not used" for what, count in told.items()],
         faulty,
     )
-
-
-def _connect(junction: str, connection: Element, links: Links) -> None:
-    incoming, road = connection.get("incomingRoad"), connection.get("connectingRoad")
-    if incoming is None or road is None:
-        return  # a direct or virtual junction's: no lane leads through
-    for link in connection.findall("laneLink"):
-        key = junction, incoming, _whole(link, "from")
-        links.setdefault(key, []).append((road, get(connection, "contactPoint", "start"), _whole(link, "to")))
 
 
 def _whole(node: Element, key: str) -> int:

@@ -17,13 +17,13 @@ def test_rows_say_rate_gaps_and_range(tmp_path: Path) -> None:
     columns["v"][17] = np.nan
     file, _ = written("csv", tmp_path, columns)
     found = contents(read_log(file))
-    rows = {row.name: row for row in found.rows}
-    assert (rows["v"].samples, rows["v"].invalid, rows["v"].gaps, rows["v"].quantity) == (440, 1, 1, "v")
-    assert rows["v"].rate == pytest.approx(20.0)
-    assert rows["v"].longest == pytest.approx(3.05)
-    assert (rows["r"].low, rows["r"].high) == (columns["r"].min(), columns["r"].max())
+    rows = {row["name"]: row for row in found.rows}
+    assert (rows["v"]["samples"], rows["v"]["invalid"], rows["v"]["gaps"], rows["v"]["quantity"]) == (440, 1, 1, "v")
+    assert rows["v"]["rate"] == pytest.approx(20.0)
+    assert rows["v"]["longest"] == pytest.approx(3.05)
+    assert (rows["r"]["low"], rows["r"]["high"]) == (columns["r"].min(), columns["r"].max())
     assert found.drive is not None
-    assert found.table()[0]["name"] == "delta_sw"
+    assert found.rows[0]["name"] == "delta_sw"
     assert len(picture(found).axes) == 3
 
 
@@ -32,7 +32,7 @@ def test_a_log_without_a_drive_says_why_and_what_could_be(tmp_path: Path) -> Non
     found = contents(read_log(tmp_path / "a.csv"))
     assert found.drive is None
     assert "which column is delta_sw, v? Columns: yaw_rate, other" in found.trouble
-    assert {row.name: row.quantity for row in found.rows} == {"yaw_rate": "(r)", "other": ""}
+    assert {row["name"]: row["quantity"] for row in found.rows} == {"yaw_rate": "(r)", "other": ""}
     assert len(picture(found).axes) == 2
     assert (
         "column for v 'speed' is not known"
