@@ -163,7 +163,6 @@ def test_what_is_finer_than_the_clock_is_averaged_and_no_car_reverses() -> None:
     assert even["t"] == pytest.approx(0.01 * np.arange(200))
     assert np.abs(even["r"][2:-2]).max() < 1e-12
     assert (even["v"][50], even["v"][150]) == (0.0, 5.0)
-    assert drives.moments([3.0, -4.0]) == pytest.approx((12.5**0.5, -0.5))
 
 
 @pytest.mark.parametrize(
