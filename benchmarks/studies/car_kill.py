@@ -54,9 +54,10 @@ def controller(folder: Path) -> None:
 
             def watch(run: Any) -> bool:
                 if run.timing.steps % 5 == 1:
+                    assert learner.store.writer is not None
                     state = {
                         "began": began,
-                        "committed": began + learner.store.committed,
+                        "committed": began + learner.store.writer.committed,
                         "net": learner.learner_state.net,  # not one that is still in training: a kill takes that along
                         "trainer": learner.trainer.pid,
                         "mode": str(link.last.mode) if link.last else "",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import known
 from steerkit.diagram.block import Out
 from steerkit.diagram.maths import Scalar
 
@@ -43,10 +42,5 @@ def estimate_ports(unit: str) -> tuple[Out, Out, Out]:
 
 
 def estimated(y: Any, name: str) -> Estimated:
-    """One quantity out of a block's outputs `y`: its ports `name`, `name_deviation` and `name_valid`.
-
-    Raises ValueError for a name that is no estimate, with those that are.
-    """
-    names = [field for field in y._fields if f"{field}_deviation" in y._fields and f"{field}_valid" in y._fields]
-    known(name, names, "estimate")
+    """One quantity out of a block's outputs `y`: its ports `name`, `name_deviation` and `name_valid`."""
     return Estimated(getattr(y, name), getattr(y, f"{name}_deviation"), getattr(y, f"{name}_valid"))

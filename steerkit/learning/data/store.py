@@ -153,10 +153,11 @@ class TransitionStore:
         self.path, self.run = FilePath(path), run
         self.names = opened(self.path, names, run)
         self._pack = struct.Struct(f"<{2 * len(self.names) + 2}d").pack
-        self._writer: _Writer | None = None
+        self.writer: _Writer | None = None
+        """What is `waiting` in it, and how many rows it has `committed`; None: the store is only read, or closed."""
         if run is not None:
-            self._writer = _Writer(self.path)
-            self._end = weakref.finalize(self, _Writer.end, self._writer)  # also when the program ends unclosed
+            self.writer = _Writer(self.path)
+            self._end = weakref.finalize(self, _Writer.end, self.writer)  # also when the program ends unclosed
 
     # ---- writing --------------------------------------------------------------------------------------------
 
@@ -185,7 +186,7 @@ class TransitionStore:
 
     def close(self, timeout: float = 10.0) -> None:
         """Write what is left and end; raises StoreError when that cannot be done within `timeout` [s]."""
-        writer, self._writer = self._writer, None
+        writer, self.writer = self.writer, None
         if writer is not None:
             try:
                 writer.flush(timeout)
@@ -199,24 +200,14 @@ class TransitionStore:
         self.close()
 
     @property
-    def waiting(self) -> int:
-        """Rows appended but not yet committed."""
-        return len(self._writer.waiting) if self._writer else 0
-
-    @property
-    def committed(self) -> int:
-        """Rows committed since this store was opened."""
-        return self._writer.committed if self._writer else 0
-
-    @property
     def fault(self) -> str:
         """Why the last commit did not succeed; empty when it did. The rows wait, and the writer tries again."""
-        return self._writer.fault if self._writer else ""
+        return self.writer.fault if self.writer else ""
 
     def _writing(self) -> _Writer:
-        if self._writer is None:
+        if self.writer is None:
             raise StoreError(f"{self.path}: closed, or opened for reading; to append, open it with run='a label'")
-        return self._writer
+        return self.writer
 
     # ---- reading --------------------------------------------------------------------------------------------
 
