@@ -220,11 +220,9 @@ def simulate(
     true = replace(as_told.vehicle, steer_ratio=ratio * as_told.vehicle.steer_ratio)
     kind = ProductionCar if as_told.port else SimulatedCar
     simulated = kind(as_told, path, vehicle=true, t0=clock.now(), **car)
-    buses = SocketServer() if as_told.port else None
-    print(f"channel {port.channel}{f'+{buses.channel}' if buses else ''}", flush=True)
     with contextlib.ExitStack() as stack:
-        if buses:
-            stack.callback(buses.close)
+        buses = stack.enter_context(SocketServer()) if as_told.port else None
+        print(f"channel {port.channel}{f'+{buses.channel}' if buses else ''}", flush=True)
         stream = stack.enter_context(open(log, "w", encoding="utf-8")) if log else None
         stack.enter_context(port)
         with contextlib.suppress(KeyboardInterrupt):

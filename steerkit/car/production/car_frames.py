@@ -114,14 +114,11 @@ class CarFrames:
             if codes or slow:
                 known = {signal: float(eval(code, _KNOWN, names)) for signal, code in codes.items()}
                 data = bytes(packer.pack(message.address, known))[: _table()["shorter"].get(message.name)]
-                frames.append((message.address, self._protected(message, data), bus))
+                if protect := PROTECTS.get(car.maker):  # by what the library's packer does not know
+                    data = bytes(protect(message.name, bytearray(data), self._step))
+                frames.append((message.address, data, bus))
         self._step += 1
         return frames
-
-    def _protected(self, message: Any, data: bytes) -> bytes:
-        """With the counters and check sums that the library's packer does not know."""
-        protect = PROTECTS.get(self.platform.maker)
-        return data if protect is None else bytes(protect(message.name, bytearray(data), self._step))
 
     def command(self, frame_id: int, data: bytes, v: float) -> Command | None:
         """What a frame from the computer asks of the steering at v [m/s]; None for one that does not steer."""

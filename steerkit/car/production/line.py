@@ -19,6 +19,7 @@ _HEAD = struct.Struct("<IBB")
 """Of a frame in a socket: id, bus, length of the data."""
 _TOGETHER = 500
 """Frames in a datagram, at most: whatever their length, they fit."""
+_KIND = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
 _BEAT = 0.3  # s between two heartbeats; a panda without one for seconds no longer lets steer
 
 
@@ -134,15 +135,15 @@ def _frames(text: bytes) -> Iterator[Frame]:
             yield Frame(frame_id, text[at - length : at], bus)
 
 
-class SocketLine:
+class SocketLine(contextlib.ExitStack):
     """A simulated car in another process, at 127.0.0.1:PORT. What does not fit is dropped, as a full adapter does."""
 
     def __init__(self, address: str):
         host, _, port = address.removeprefix("socket://").rpartition(":")
         if host not in ("127.0.0.1", "localhost") or not port.isdigit():
             raise ValueError(f"[port] channel {address!r}: expected 127.0.0.1:PORT, of a simulated car")
-        self._end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._end.setblocking(False)
+        super().__init__()
+        self._end = self.enter_context(socket.socket(socket.AF_INET, _KIND))
         self._end.connect(("127.0.0.1", int(port)))
         for _ in range(2):  # so that the car knows where its port is; the second one fails if none was there to hear
             self._end.send(b"")
@@ -158,16 +159,13 @@ class SocketLine:
             for text in _datagrams(frames):
                 self._end.send(text)
 
-    def close(self) -> None:
-        self._end.close()
 
-
-class SocketServer:
+class SocketServer(contextlib.ExitStack):
     """The simulated car's end: serves the port that came last."""
 
     def __init__(self) -> None:
-        self._end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._end.setblocking(False)
+        super().__init__()
+        self._end = self.enter_context(socket.socket(socket.AF_INET, _KIND))
         self._end.bind(("127.0.0.1", 0))
         self.channel = f"127.0.0.1:{self._end.getsockname()[1]}"
         self._port: Any = None
@@ -185,10 +183,6 @@ class SocketServer:
         with contextlib.suppress(OSError):
             for text in _datagrams(frames) if self._port else ():
                 self._end.sendto(text, self._port)
-
-    def close(self) -> None:
-        """Free the port."""
-        self._end.close()
 
 
 Line = PandaLine | CanLine | SocketLine

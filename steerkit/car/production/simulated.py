@@ -31,13 +31,6 @@ class Counts:
     rejected: int = 0
 
 
-def speeds_of(config: CarConfig) -> tuple[float, float]:
-    """The speeds between which the simulated human drives [m/s]: those that the port steers at, and the file allows."""
-    slowest = max(12.0, platform(config.port).slowest + 1.5, config.states.v_engage_min)
-    fastest = min(config.states.v_engage_max, config.states.v_max - 1.0)
-    return min(slowest, fastest), min(max(slowest + 1.0, 16.0), fastest)
-
-
 class ProductionCar(SimulatedCar):
     """A production car with its human; it is told what the port sends by `hear`, and says the rest by `said`.
 
@@ -51,7 +44,9 @@ class ProductionCar(SimulatedCar):
         self, config: CarConfig, path: Path, *, lateral: LateralMap | None = None, judge: Any = None, **more: Any
     ):
         self.platform = platform(config.port)
-        v_min, v_max = speeds_of(config)
+        fastest = min(config.states.v_engage_max, config.states.v_max - 1.0)  # between what port and file allow
+        v_min = min(max(12.0, self.platform.slowest + 1.5, config.states.v_engage_min), fastest)
+        v_max = min(max(v_min + 1.0, 16.0), fastest)
         usual = {"v_min": v_min, "v_max": v_max, "delay": self.platform.delay}
         super().__init__(config, path, bends=min(BENDS, 0.7 * config.gate.a_y_max), **{**usual, **more})
         self.readers = tuple([r for r in config.readers if r.frame_id in config.pose_frames])

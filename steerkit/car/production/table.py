@@ -13,7 +13,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.car.config import shipped
 from steerkit.car.production.limits import limits_of
-from steerkit.car.production.platforms import Platform, listed, platform
+from steerkit.car.production.platforms import listed, platform
 from steerkit.vehicles import vehicle
 
 AT = 15.0
@@ -23,30 +23,21 @@ AT = 15.0
 def rows() -> list[dict[str, Any]]:
     """A row for each platform, SI: name, maker, by, slowest [m/s], delay [s], the largest lateral acceleration [m/s^2]
     and its fastest change [m/s^3] at `AT`, and why it cannot be steered, or "". Raises ValueError without opendbc."""
-    return [_row(found) for found in listed().values()]
-
-
-def _row(found: Platform) -> dict[str, Any]:
-    row = {
-        "name": found.name,
-        "maker": found.maker,
-        "by": found.steered_by,
-        "slowest": found.slowest,
-        "delay": found.delay,
-        "a_y": None,
-        "jerk": None,
-        "obstacle": found.obstacle,
-    }
-    if not found.obstacle:
-        car = vehicle(found.name.lower().replace("_", "-"))
-        limits = limits_of(found, car)
-        length = car.wheelbase + car.understeer_gradient * AT * AT
-        per_wheel = AT * AT / (float(car.steer_ratio) * float(length))
-        speeds, rates = zip(*limits.rates) if limits.rates else ((), ())
-        turning = float(np.interp(AT, speeds, rates)) if rates else limits.rate_max
-        row["a_y"] = min(limits.a_y_max, limits.delta_max * per_wheel)
-        row["jerk"] = min(limits.jerk_max, turning * per_wheel)
-    return row
+    table = list[dict[str, Any]]()
+    for found in listed().values():
+        row = {"name": found.name, "maker": found.maker, "by": found.steered_by, "slowest": found.slowest}
+        row |= {"delay": found.delay, "a_y": None, "jerk": None, "obstacle": found.obstacle}
+        if not found.obstacle:
+            car = vehicle(found.name.lower().replace("_", "-"))
+            limits = limits_of(found, car)
+            length = car.wheelbase + car.understeer_gradient * AT * AT
+            per_wheel = AT * AT / (float(car.steer_ratio) * float(length))
+            speeds, rates = np.reshape(limits.rates, (-1, 2)).T
+            turning = float(np.interp(AT, speeds, rates)) if limits.rates else limits.rate_max
+            row["a_y"] = min(limits.a_y_max, limits.delta_max * per_wheel)
+            row["jerk"] = min(limits.jerk_max, turning * per_wheel)
+        table.append(row)
+    return table
 
 
 def lines(those: Sequence[dict[str, Any]]) -> list[str]:
