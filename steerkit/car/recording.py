@@ -413,9 +413,11 @@ def parse(data: bytes, used: bool = False) -> Recorded:
         if data.startswith(_MAGIC) and not _BEGIN.startswith(data[: len(_BEGIN)]):
             raise ValueError("an MCAP file of another program, not a recording of steerkit")
         raise ValueError("no recording of steerkit, or cut off before it began")
-    then, wanted, maker = metadata.get("protocol"), str(protocol.VERSION), metadata.get("steerkit-control", "unknown")
-    hint = f"this is {wanted}; replay it with the steerkit that made it, {maker}"
-    require(then in (None, wanted), f"a recording of protocol {then}", hint)
+    then, wanted = metadata.get("protocol"), str(protocol.VERSION)
+    if then not in (None, wanted):
+        maker = metadata.get("steerkit-control", "of an unknown version")
+        hint = f"replay it with the steerkit that made it, {maker}"
+        raise ValueError(f"a recording of protocol {then}, this is {wanted}; {hint}")
     return Recorded(metadata, messages, gaps, len(data), used)
 
 
