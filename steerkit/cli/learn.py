@@ -36,7 +36,7 @@ from steerkit.cli.options import (
 from steerkit.diagram.simulation import Log
 from steerkit.learning import report, rundir
 from steerkit.learning.data.from_log import Excitation
-from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS, Experiment, LearningRun
+from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS, Experiment
 from steerkit.learning.learn import UPDATES, from_log
 from steerkit.learning.pictures.film import film_of
 from steerkit.learning.pictures.run import draw_all
@@ -119,7 +119,18 @@ def learn(
     with streamed(stream, signals=signals) as each:
         if live:
             console.print(f"live: tensorboard --logdir {place}", soft_wrap=True)
-        run = _learned(experiment, place, quiet=options.quiet, live=live, each=each)
+        try:
+            run = report.learn_with_progress(experiment, place, quiet=options.quiet, live=live, each=each)
+        except KeyboardInterrupt:
+            print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
+            raise
+        except OSError as error:
+            begun = (place / "run.json").exists()
+            kept = f"the run is kept up to its last training; the same with --out {place} goes on from there"
+            error.add_note(
+                kept if begun else f"nothing was learned: --out {place} cannot be written; give another directory"
+            )
+            raise
         report.show(place, quiet=options.quiet)
     if options.as_json:
         print(json.dumps(report.figures_of_merit(run)), flush=True)
@@ -173,20 +184,6 @@ def _from_log(
     figures = report.show(place, quiet=options.quiet)
     if options.as_json:
         print(json.dumps(figures | {"from_log": run.source, "assumed": assumed, "run": str(place)}))
-
-
-def _learned(experiment: Experiment, place: Path, *, quiet: bool, live: bool, each: Any) -> LearningRun:
-    try:
-        return report.learn_with_progress(experiment, place, quiet=quiet, live=live, each=each)
-    except KeyboardInterrupt:
-        print(f"steerkit: interrupted; the same with --out {place} goes on from the last training", file=sys.stderr)
-        raise
-    except OSError as error:
-        if (place / "run.json").exists():
-            error.add_note(f"the run is kept up to its last training; the same with --out {place} goes on from there")
-        else:
-            error.add_note(f"nothing was learned: --out {place} cannot be written; give another directory")
-        raise
 
 
 def _experiment(ctx: typer.Context, config: Path | None, out: Path | None) -> Experiment:

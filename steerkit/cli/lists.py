@@ -73,12 +73,14 @@ def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_jso
         made.to_csv(str(to))
     if plot is not None:
         save(plot_course(made.path), plot)
-    row = _row(made)
+    row, speeds = _of_path(made.path.name, made.path), list[str]()
+    for key, values, what in (("v", made.v, "as driven"), ("v_limit", made.v_limit, "allowed")):
+        row[key] = None if values is None else [float(np.nanmin(values)), float(np.nanmax(values))]
+        speeds += [] if values is None else [f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m/s {what}"]
     if as_json:
         print(json.dumps({**row, "notes": made.notes, "written": [str(f) for f in (to, plot) if f is not None]}))
         return
     print(made.path)
-    speeds = [f"{row[key][0]:.1f} to {row[key][1]:.1f} m/s {what}" for key, what in _SPEEDS.items() if row[key]]
     radius = row["tightest_radius_m"]
     print(f"tightest radius {radius:.1f} m" if radius else "straight", *speeds, sep=", ")
     for note in made.notes:
@@ -88,20 +90,10 @@ def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_jso
             print(f"wrote {place}")
 
 
-_SPEEDS = {"v": "as driven", "v_limit": "allowed"}
-
-
 def _of_path(name: str, path: CoursePath) -> dict[str, Any]:
     sharpest = float(abs(path.samples.kappa).max())
     radius = 1.0 / sharpest if sharpest > 1e-6 else None
     return {"course": name, "length_m": path.length, "closed": path.closed, "tightest_radius_m": radius}
-
-
-def _row(made: importers.Course) -> dict[str, Any]:
-    row = _of_path(made.path.name, made.path)
-    for key, speeds in (("v", made.v), ("v_limit", made.v_limit)):
-        row[key] = None if speeds is None else [float(np.nanmin(speeds)), float(np.nanmax(speeds))]
-    return row
 
 
 def _list(found: importers.Map, file: str, as_json: bool) -> None:

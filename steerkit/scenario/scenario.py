@@ -131,7 +131,7 @@ class Scenario:
         disturbed = CONDITIONS[known(conditions, CONDITIONS, "conditions")]
         require_fields(cls, changes, "scenario")
         steering = Car.of(changes.get("vehicle", Car())).steering_in_file()
-        return cls(**_merged(disturbed, {"steering": steering}, changes))
+        return cls(**disturbed).with_(steering=steering).with_(**changes)
 
     def with_(self, **changes: Any) -> Self:
         """This scenario with other fields, and other fields in its parts: `with_(steering={"delay": 0.2})`.
@@ -261,18 +261,6 @@ def tables(dotted: Table) -> dict[str, Any]:
         table, _, name = key.rpartition(".")
         (nested.setdefault(table, {}) if table else nested)[name] = value
     return nested
-
-
-def _merged(*tables: Table) -> dict[str, Any]:
-    """Tables in tables, later ones before earlier ones."""
-    merged: dict[str, Any] = {}
-    for table in tables:
-        for name, value in table.items():
-            if name in PARTS and isinstance(value, str):
-                value = {"name": value}
-            old = merged.get(name)
-            merged[name] = {**old, **value} if isinstance(old, Mapping) and isinstance(value, Mapping) else value
-    return merged
 
 
 def require_fields(kind: type[Scenario], table: Table, where: str) -> None:

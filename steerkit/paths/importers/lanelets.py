@@ -151,7 +151,15 @@ class _Osm:
         require(self.ids, file, "holds no nodes")
         self.order = np.argsort(self.ids, kind="stable")
         self.sorted = np.array(self.ids)[self.order]
-        self.origin, self.xy = _placed(np.array(places), file)
+        rows: Array = np.array(places)
+        lat, lon, metres = rows[0], rows[1], rows[2:]
+        self.origin: tuple[float, float] | None = None  # of x = y = 0 [degrees], not of Lanelet2's own metres
+        self.xy = metres.T
+        if not np.isfinite(metres).all():
+            if np.abs(lat).max() > 0.2:  # maps of nowhere lie at latitude and longitude 0
+                check_gps(lat, lon, file)
+            self.origin = float(lat[0]), float(lon[0])
+            self.xy = east_north(lat, lon, self.origin)
 
     def find(self, wanted: Sequence[int]) -> Array:
         """The places of nodes by number (n, 2) [m]."""
@@ -161,17 +169,6 @@ class _Osm:
         if missing.size:
             raise ValueError(f"node {missing[0]} is not in the file: cut out?")
         return self.xy[self.order[at]]
-
-
-def _placed(places: Array, file: str) -> tuple[tuple[float, float] | None, Array]:
-    """Where x = y = 0 is [degrees], and where nodes are [m]: in Lanelet2's own metres, where every node has them."""
-    lat, lon, *metres = places
-    if np.isfinite(metres).all():
-        return None, np.column_stack(metres)
-    if np.abs(lat).max() > 0.2:  # maps of nowhere lie at latitude and longitude 0
-        check_gps(lat, lon, file)
-    origin = float(lat[0]), float(lon[0])
-    return origin, east_north(lat, lon, origin)
 
 
 def _id(node: Element, key: str) -> int:
