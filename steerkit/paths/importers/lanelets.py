@@ -152,10 +152,10 @@ class _Osm:
         self.order = np.argsort(self.ids, kind="stable")
         self.sorted = np.array(self.ids)[self.order]
         rows: Array = np.array(places)
-        lat, lon, metres = rows[0], rows[1], rows[2:]
+        lat, lon, own = rows[0], rows[1], rows[2:]
         self.origin: tuple[float, float] | None = None  # of x = y = 0 [degrees], not of Lanelet2's own metres
-        self.xy = metres.T
-        if not np.isfinite(metres).all():
+        self.xy = own.T
+        if not np.isfinite(own).all():
             if np.abs(lat).max() > 0.2:  # maps of nowhere lie at latitude and longitude 0
                 check_gps(lat, lon, file)
             self.origin = float(lat[0]), float(lon[0])
