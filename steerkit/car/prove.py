@@ -40,6 +40,8 @@ NEAR = 0.25
 """|e| before a run [m]."""
 SHARE = 0.7
 """Of what the state machine allows, a wave may ask for that much: its run does not begin exactly on the course."""
+EARLY = 0.8
+"""Of the |e| at which the car lets go, that much ends a run: then the controller takes over."""
 SPARE = 1.0
 """Of straight course more than a run takes, to ask for consent [s]."""
 TRIES = 3
@@ -300,7 +302,7 @@ class Proving:
         if not self.follow.engaged:
             yield line_of(s)
         rows = [("a_y", s.a_y, abort.a_y, "m/s^2"), ("r", s.r, abort.r, "rad/s")]
-        rows.append(("e", s.e, min(abort.e, self.config.states.e_max), "m"))
+        rows.append(("e", s.e, min(abort.e, EARLY * self.config.states.e_max), "m"))
         if not on_course(self.manoeuvre):
             rows.append((f"v - {c.v:g} m/s", s.v - c.v, self._v_off, "m/s"))
         for name, value, limit, unit in rows:

@@ -108,6 +108,13 @@ def _random(i: Input) -> Array:
     return np.asarray(wave / np.abs(wave).max() * np.minimum(t / i.rise, 1.0) * np.minimum((t[-1] - t) / i.rise, 1.0))
 
 
+def _sine(i: Input) -> Array:
+    """Several periods grow over `rise`: one that begins at its full size leaves the car with a sideways speed."""
+    t = _time(i.periods / i.frequency)
+    grown = np.minimum(t / i.rise, 1.0) if i.periods > 1.0 and i.rise > 0.0 else 1.0
+    return np.asarray(grown * np.sin(2.0 * np.pi * i.frequency * t))
+
+
 def _dwell(i: Input) -> Array:
     """One period of a sine, the third quarter's end held. Source: 49 CFR 571.126, S7.9 (figure 2)."""
     quarter = 0.25 / i.frequency
@@ -119,7 +126,7 @@ def _dwell(i: Input) -> Array:
 
 FORMS: Mapping[str, Any] = {
     "levels": _levels,
-    "sine": lambda i: np.sin(2.0 * np.pi * i.frequency * _time(i.periods / i.frequency)),
+    "sine": _sine,
     "pulse": lambda i: 1.0 - np.abs(2.0 * _time(i.hold) / i.hold - 1.0),
     "random": _random,
     "dwell": _dwell,
