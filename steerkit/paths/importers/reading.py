@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -23,26 +24,10 @@ from steerkit.paths.importers.xml_stream import root_of
 from steerkit.paths.path import Array
 from steerkit.paths.waypoints import distances, placed, read_columns, said_of, travelled
 
-KINDS: Mapping[str, str] = {
-    ".csv": "CSV",
-    ".gpx": "GPX",
-    ".kml": "KML",
-    ".tcx": "TCX",
-    ".geojson": "GeoJSON",
-    ".json": "GeoJSON",
-    ".xodr": "OpenDRIVE",
-    ".xml": "CommonRoad or OSM",
-    ".osm": "OSM or Lanelet2",
-}
+_TABLE = tomllib.loads(FilePath(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+KINDS: Mapping[str, str] = _TABLE["kinds"]
 """How the name of a file with a road in it ends, and what it then is."""
-CHOICES: Mapping[str, tuple[str, ...]] = {
-    "CSV": ("lap", "from", "to"),
-    **dict.fromkeys(("GPX", "KML", "TCX"), ("track", "lap", "from", "to")),
-    "GeoJSON": ("feature", "lap", "from", "to"),
-    "OpenDRIVE": ("road", "lane", "to"),
-    "CommonRoad or OSM": ("lanelet", "way", "to"),
-    "OSM or Lanelet2": ("lanelet", "way", "to"),
-}
+CHOICES: Mapping[str, list[str]] = _TABLE["choices"]
 """What can be chosen by name in it."""
 _SETTINGS = ("noise", "closed", "reverse")
 _YES = {"yes": True, "no": False}
