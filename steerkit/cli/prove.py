@@ -56,7 +56,7 @@ def prove(
     ] = None,
     speed: Annotated[float | None, typer.Option(help="Instead of the manoeuvre's (m/s).")] = None,
     a_y: Annotated[float | None, typer.Option(help="Size of the input, instead of the manoeuvre's (m/s^2).")] = None,
-    limits: Annotated[Path | None, typer.Option(help="TOML file of [[limit]] tables instead of its own.")] = None,
+    limits: Annotated[Path | None, typer.Option(help="TOML file of tables `limit` instead of its own.")] = None,
     report: Annotated[Path | None, typer.Option(help="Page to write (.html), or a folder for one a manoeuvre.")] = None,
     vehicle: Annotated[
         list[str] | None,
