@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from steerkit._support.console import shown
 from steerkit._support.errors import require
 from steerkit.car import prove as car_prove
 from steerkit.car import recording as recordings
@@ -91,7 +92,7 @@ def prove(
     require(page_file is None or page_file.suffix == ".html", f"--report {report}", "expected FILE.html, or a folder")
     require(page_file is None or len(wanted) == 1, f"--report {report}", "one page is of one manoeuvre; name a folder")
     where, drivers, cars = car or ["sim"], controller or ["stanley"], vehicle or []
-    console = Console(stderr=options.as_json, quiet=options.quiet and not options.as_json)
+    console = Console(stderr=options.as_json)
     with contextlib.redirect_stdout(sys.stderr) if options.as_json else contextlib.nullcontext():
         driven = "log"
         each: Callable[[Manoeuvre], Iterator[Driven]] = partial(_recorded, file=Path(where[0]))
@@ -110,7 +111,8 @@ def prove(
             drive = read_drive(where, column_map(columns, column), dbc=dbc or (), steer_ratio=steer_ratio)
             data = vehicle_named(cars[0] if cars else "vw-passat")
             each = partial(_found, drive=drive, data=data)
-        done = [[evaluate(**it, limits=kept) for it in each(one)] for one in wanted]
+        steps = shown(wanted, "" if options.quiet or len(wanted) < 2 else "manoeuvres")
+        done = [[evaluate(**it, limits=kept) for it in each(one)] for one in steps]
     for evaluations in done:
         _print(console, evaluations)
         if report is not None:
