@@ -6,14 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.resources import files
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 
 from steerkit._support.errors import check_numbers, known, nearest, number, require
-from steerkit._support.files import read_text, toml_of
+from steerkit._support.files import read_toml
 from steerkit.controllers.open_loop import OpenLoop
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
@@ -266,19 +265,17 @@ class Manoeuvre:
         return OpenLoop(block=base, wave=wave, spacing=SPACING, amplitude=SIDES[side] * size, **more)
 
 
+_SHIPPED = FilePath(__file__).with_name("manoeuvres")
 _PARTS: Mapping[str, Any] = {"input": Input, "conditions": Conditions, "abort": Abort}
 
 
-def manoeuvre_of(text: str, name: str) -> Manoeuvre:
-    """The manoeuvre in the text of a TOML file; raises ValueError naming what is wrong, and what is valid."""
+def manoeuvre_of(data: Mapping[str, Any], name: str) -> Manoeuvre:
+    """The manoeuvre in the tables of a TOML file; raises ValueError naming what is wrong, and what is valid."""
     where = f"manoeuvre '{name}'"
-    data = toml_of(text, where)
-    sources = data.pop("sources", {})
-    limits = tuple(limits_of(data.pop("limit", []), where))
-    for part, kind in _PARTS.items():
-        if part in data:
-            data[part] = _made(kind, data[part], f"{where}: [{part}]")
-    return _made(Manoeuvre, data | {"name": name, "limits": limits, "sources": dict(sources)}, where)
+    parts = {part: _made(kind, data[part], f"{where}: [{part}]") for part, kind in _PARTS.items() if part in data}
+    limits, sources = tuple(limits_of(data.get("limit", []), where)), dict(data.get("sources", {}))
+    own = {key: value for key, value in data.items() if key != "limit"}
+    return _made(Manoeuvre, own | parts | {"name": name, "limits": limits, "sources": sources}, where)
 
 
 def limits_of(rows: Any, where: str) -> list[Limit]:
@@ -289,7 +286,7 @@ def limits_of(rows: Any, where: str) -> list[Limit]:
 
 def read_limits(file: str | FilePath) -> list[Limit]:
     """The limits in a TOML file of tables [[limit]]; raises ValueError for a broken one, or one without any."""
-    found = limits_of(toml_of(read_text(file, "limits"), f"{file}").get("limit", []), f"{file}")
+    found = limits_of(read_toml(file, f"{file}").get("limit", []), f"{file}")
     require(found, f"{file}", "no table [[limit]] in it; expected quantity, low or high, source")
     return found
 
@@ -315,19 +312,14 @@ def _made(kind: Any, table: Any, where: str) -> Any:
 @cache
 def names() -> tuple[str, ...]:
     """The manoeuvres that ship."""
-    folder = files("steerkit.proving") / "manoeuvres"
-    return tuple(sorted(file.name.removesuffix(".toml") for file in folder.iterdir() if file.name.endswith(".toml")))
+    return tuple(sorted(file.stem for file in _SHIPPED.glob("*.toml")))
 
 
 def manoeuvre(name: str) -> Manoeuvre:
     """A manoeuvre by name, or of a TOML file; raises ValueError with the valid ones."""
-    if name.lower().endswith(".toml"):
-        try:
-            return manoeuvre_of(read_text(name, "manoeuvre"), FilePath(name).stem)
-        except OSError as error:
-            raise ValueError(f"manoeuvre: {name} cannot be read ({error.strerror})") from error
-    known(name, names(), "manoeuvre", also="FILE.toml")
-    return manoeuvre_of((files("steerkit.proving") / "manoeuvres" / f"{name}.toml").read_text(encoding="utf-8"), name)
+    own = name.lower().endswith(".toml")
+    file = FilePath(name) if own else _SHIPPED / f"{known(name, names(), 'manoeuvre', also='FILE.toml')}.toml"
+    return manoeuvre_of(read_toml(file, f"manoeuvre {name}"), file.stem)
 
 
 def some(given: Sequence[str]) -> list[Manoeuvre]:

@@ -15,10 +15,13 @@ from steerkit.proving.evaluate import WORDS, Evaluation, Result
 from steerkit.proving.manoeuvre import Manoeuvre
 from steerkit.proving.pictures import coloured, pictures
 
-_JUDGED = {True: ("passed", "good"), False: ("failed", "bad"), None: ("not judged", "open")}
+_JUDGED = {
+    True: ("passed", "good", "kept"),
+    False: ("failed", "bad", "not kept"),
+    None: ("not judged", "open", "not judged"),
+}
 _MANY = 12
 """More evaluations than these get a row each."""
-_KEPT = {True: "kept", False: "not kept", None: "not judged"}
 _SETTINGS = ("repeats", "sides", "cutoff", "sensor_x")
 
 
@@ -33,26 +36,15 @@ def write(file: File, evaluations: Sequence[Evaluation], *, general: Mapping[str
     manoeuvre = evaluations[0].manoeuvre
     same = all(e.manoeuvre == manoeuvre for e in evaluations)
     require(same, f"{file}", "manoeuvres differ, expected evaluations of one, with the same numbers")
-    facts = {
-        "how": "not said",
-        "date": "not said",
-        "load": "as the vehicle file has it",
-        "tyres": "as the vehicle file has them",
-        "instruments": "not said",
-    }
     simulated = general.get("how", "").startswith("simulat")
-    if simulated:
-        facts |= {"date": time.strftime("%Y-%m-%d"), "instruments": "none, the simulation's own signals"}
-    facts |= general
+    facts = WORDS["general"] | (WORDS["simulated"] | {"date": time.strftime("%Y-%m-%d")} if simulated else {}) | general
     notes = [f"{e.who}: {note}" if len(evaluations) > 1 else note for e in evaluations for note in e.notes]
     figures = [picture(figure, caption) for caption, figure in pictures(evaluations)]
-    verdicts = [_verdict(e, colour) for e, colour in coloured(evaluations)]
+    verdicts: list[str] = [_verdict(e, colour) for e, colour in coloured(evaluations)]
     if len(evaluations) > _MANY:
         words = [_JUDGED[e.passed][0] for e in evaluations]
-        counts = ", ".join(f"{words.count(word)} {word}" for word, _ in _JUDGED.values())
-        verdicts = [
-            Html(f"<div class='verdict'><strong>{counts}</strong>of {len(words)} cars; each: see results</div>")
-        ]
+        counts = ", ".join(f"{words.count(word)} {word}" for word, *_ in _JUDGED.values())
+        verdicts = [f"<div class='verdict'><strong>{counts}</strong>of {len(words)} cars; each: see results</div>"]
     parted = "</div><div class=beside>" if len(evaluations) + len(figures) > 3 else ""
     parts = [
         Html(f"<h1>{html(manoeuvre.title)}</h1><p>{html(manoeuvre.norm)}<br>{html(manoeuvre.about)}</p>"),
@@ -95,15 +87,17 @@ def _fixed(text: str) -> Html:
 
 
 def _interval(result: Result) -> str:
-    told = math.isfinite(result.low) and math.isfinite(result.high)
-    return f"{_number(result.low)} to {_number(result.high)}" if told else "none"
+    return f"{_number(result.low)} to {_number(result.high)}" if math.isfinite(result.high - result.low) else "none"
 
 
 def _said(result: Result) -> str:
     """Value, interval, and in degrees."""
-    beside = _beside(result.value, result.unit)
     interval = _interval(result)
-    more = (f"95 % interval {interval}" if interval != "none" else "no interval", beside, result.note)
+    more = (
+        "no interval" if interval == "none" else f"95 % interval {interval}",
+        _beside(result.value, result.unit),
+        result.note,
+    )
     return f"{_with_unit(result.value, result.unit)} ({'; '.join(filter(None, more))})"
 
 
@@ -116,7 +110,7 @@ def _who(e: Evaluation, colour: str) -> Html:
 
 
 def _verdict(e: Evaluation, colour: str) -> Html:
-    word, tone = _JUDGED[e.passed]
+    word, tone, _ = _JUDGED[e.passed]
     known, lines = {result.quantity: result for result in e.results}, list[str]()
     for limit, passed in e.verdicts:
         result = known.get(limit.quantity)
@@ -125,7 +119,7 @@ def _verdict(e: Evaluation, colour: str) -> Html:
         doubt = "; the interval reaches beyond the limit" if astride else ""
         said = f"{_said(result) if result else 'not evaluated'}, {bounds}: "
         lines.append(
-            f"{html(_words(limit.quantity))}: {html(said)}<b class={_JUDGED[passed][1]}>{_KEPT[passed]}</b>{doubt}"
+            f"{html(_words(limit.quantity))}: {html(said)}<b class={_JUDGED[passed][1]}>{_JUDGED[passed][2]}</b>{doubt}"
             f"<small>{html(limit.source)}</small>"
         )
     if not e.verdicts:
@@ -145,23 +139,20 @@ def _per_car(head: Sequence[str], rows: Iterable[Sequence[object]], evaluations:
 
 
 def _results(evaluations: Sequence[Evaluation]) -> Html:
-    rows, before = list[tuple[object, ...]](), ""
+    rows = list[tuple[object, ...]]()
     quantities = dict.fromkeys(result.quantity for e in evaluations for result in e.results)
+    cars = [(e, _who(e, colour), {r.quantity: r for r in e.results}) for e, colour in coloured(evaluations)]
     if len(evaluations) > _MANY:
-        for e, colour in coloured(evaluations):
-            known, (word, tone) = {r.quantity: r for r in e.results}, _JUDGED[e.passed]
+        for e, who, known in cars:
             values = (_with_unit(known[name].value, known[name].unit) if name in known else "" for name in quantities)
-            rows.append((_who(e, colour), Html(f"<b class={tone}>{word}</b>"), *values))
+            rows.append((who, Html(f"<b class={_JUDGED[e.passed][1]}>{_JUDGED[e.passed][0]}</b>"), *values))
         return table(("car", "verdict", *map(_words, quantities)), rows)
     for quantity in quantities:
-        for e, colour in coloured(evaluations):
-            for r in e.results:
-                if r.quantity == quantity:
-                    first = not rows or quantity != before
-                    before = quantity
-                    value = Html(f"<b>{_fixed(_with_unit(r.value, r.unit))}</b>")
-                    cells = (value, _fixed(_interval(r)), _fixed(_beside(r.value, r.unit)), r.n, r.note)
-                    rows.append((_words(quantity) if first else "", _who(e, colour), *cells))
+        name = _words(quantity)
+        for who, r in ((who, known[quantity]) for _, who, known in cars if quantity in known):
+            value = Html(f"<b>{_fixed(_with_unit(r.value, r.unit))}</b>")
+            rows.append((name, who, value, _fixed(_interval(r)), _fixed(_beside(r.value, r.unit)), r.n, r.note))
+            name = ""
     return _per_car(("quantity", "car", "value", "95 % interval", "that is", "repeats", "note"), rows, evaluations)
 
 
@@ -178,17 +169,7 @@ def _runs(evaluations: Sequence[Evaluation]) -> Html:
 def _cars(evaluations: Sequence[Evaluation]) -> Html:
     def of(e: Evaluation) -> dict[str, str]:
         car, m = e.vehicle, e.manoeuvre
-        numbers = {
-            "mass": (car.m, "kg"),
-            "wheelbase": (car.wheelbase, "m"),
-            "centre of gravity to front axle": (car.l_f, "m"),
-            "yaw inertia": (car.i_z, "kg m^2"),
-            "cornering stiffness, front axle": (car.c_f, "N/rad"),
-            "cornering stiffness, rear axle": (car.c_r, "N/rad"),
-            "steering ratio": (car.steer_ratio, "1"),
-            "friction": (car.mu, "1"),
-        }
-        told = {name: _with_unit(float(value), unit) for name, (value, unit) in numbers.items()}
+        told = {name: _with_unit(float(getattr(car, of)), unit) for of, (name, unit) in WORDS["car"].items()}
         if m.input:
             angle = m.input.angle(car, m.conditions.v)
             told["steering-wheel angle of the input"] = f"{_number(angle)} rad, {_beside(angle, 'rad')}"

@@ -158,12 +158,13 @@ def _on_course(manoeuvre: Manoeuvre, cars: Sequence[FleetCar], lag: float) -> It
         scenarios = [
             Scenario(vehicle={"name": car.vehicle.name, "plant": "linear"}, steering=steering) for car in group
         ]
-        loops = [on_course(manoeuvre, scenario, "stanley-delay")[0] for scenario in scenarios]
-        _, length = on_course(manoeuvre, scenarios[0], "stanley-delay")
+        loops, lengths = zip(*(on_course(manoeuvre, scenario, "stanley-delay") for scenario in scenarios))
         values = differing(loops)
         record = [*(f"car.{key}" for key in ("delta_sw", "v", "r", "a_y")), "path.e"]
         program = compile(loops[0], record=record, parameters=list(values))
-        log = program.run(length / manoeuvre.conditions.v, parameters=values, batch=len(group), allow_nonfinite=True)
+        log = program.run(
+            lengths[0] / manoeuvre.conditions.v, parameters=values, batch=len(group), allow_nonfinite=True
+        )
         yield from ((car, [run_of(log, manoeuvre, "left", 1, 0.0, k)]) for k, car in enumerate(group))
 
 
