@@ -173,7 +173,7 @@ class ProvingWorld(ProductionWorld):
 
 
 def _slower(world: ProvingWorld) -> None:
-    car = world.car.car.car if world.config.port else world.car
+    car = world.car.car if world.config.port else world.car
     v = world.proving.manoeuvre.conditions.v
     car.pedals = replace(car.pedals, driver=replace(car.pedals.driver, v_min=v - 0.95, v_max=v - 0.9))
 
