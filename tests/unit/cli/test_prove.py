@@ -1,0 +1,61 @@
+"""`steerkit prove`: the list, a table, a page, JSON, the exit code, a user's limits and manoeuvres; what it refuses."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from steerkit.proving.manoeuvre import names
+
+LIMITS = '[[limit]]\nquantity = "yaw_delay"\nhigh = {high}\nsource = "ours"\n'
+
+
+def test_without_a_name_all_manoeuvres_are_listed(cli: Any) -> None:
+    assert [row["name"] for row in cli("prove", "--json").json["manoeuvres"]] == list(names())
+
+
+def test_a_manoeuvre_is_judged_by_a_user_s_limits_and_the_exit_code_says_so(tmp_path: Path, cli: Any) -> None:
+    for high, passed in ((0.3, True), (0.01, False)):
+        (tmp_path / "limits.toml").write_text(LIMITS.format(high=high))
+        words = ("sine-with-dwell", "--vehicle", "bmw-320i", "--limits", tmp_path / "limits.toml")
+        assert cli("prove", *words, code=0).out.count("not evaluated") == 1, "no delay is told by a sine with dwell"
+        words = ("step-steer", "--limits", tmp_path / "limits.toml", "--json")
+        (found,) = cli("prove", *words, code=0 if passed else 1).json["evaluations"]
+        assert found["passed"] is passed
+        assert found["results"]["yaw_delay"]["unit"] == "s"
+        assert found["unverified"]
+
+
+def test_cars_stand_abreast_on_a_page(tmp_path: Path, cli: Any) -> None:
+    words = ("sine", "--vehicle", "vw-passat", "--vehicle", "fleet-7", "--report", tmp_path / "sine.html", "--quiet")
+    out = cli("prove", *words).out
+    assert "yaw_lag" in out
+    page = (tmp_path / "sine.html").read_text()
+    assert "vw-passat, simulated" in page
+    assert page.count("<img") >= 1
+
+
+def test_a_log_is_searched_and_several_manoeuvres_get_a_page_each(tmp_path: Path, cli: Any) -> None:
+    words = ("steady-state-circle", "sine", "--car", "genesis", "--report", tmp_path / "pages", "--json")
+    steady, sine = cli("prove", *words).json["evaluations"]
+    assert steady["results"]["understeer_gradient"]["n"] > 30
+    assert sine["runs"] == []
+    assert any("not in this log" in note for note in sine["notes"])
+    assert {file.name for file in (tmp_path / "pages").iterdir()} == {"steady-state-circle.html", "sine.html"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("step-stear",), "did you mean 'step-steer'"),
+        (("sine", "step-steer", "--report", "one.html"), "one page is of one manoeuvre"),
+        (("sine", "--report", "one.pdf"), "expected FILE.html, or a folder"),
+        (("lane-change-1", "--a-y", 2), "driven on a course"),
+        (("sine", "--speed", 0), r"v = 0.0 \[m/s\]"),
+        (("sine", "--car", "dbw-kit.toml", "--yes"), "a person consents"),
+        (("sine", "--car", "dbw-kit.toml", "--simulated"), "cannot be driven with this car.*--speed 9"),
+    ],
+)
+def test_mistakes_are_refused_before_anything_is_driven(words: Any, said: str, cli: Any) -> None:
+    assert re.search(said, cli("prove", *words, code=2).err)
