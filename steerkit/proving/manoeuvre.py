@@ -174,13 +174,13 @@ class Conditions:
 class Abort:
     """What ends a run at once; besides all that the car's own state machine watches."""
 
-    a_y: float = number(8.0, "m/s^2", low=0.5, high=50.0)
+    a_y: float = number(8.0, "m/s^2", low=0.1, high=50.0)
     """|lateral acceleration| [m/s^2]."""
     v: float = number(2.0, "m/s", low=0.1, high=20.0)
     """|speed - that of the conditions| [m/s]."""
     e: float = number(3.5, "m", low=0.05, high=100.0)
     """|cross-track error|: how far it may lead off a course that a car is on [m]."""
-    r: float = number(1.0, "rad/s", low=0.05, high=5.0)
+    r: float = number(1.0, "rad/s", low=0.005, high=5.0)
     """|yaw rate| [rad/s]."""
 
     def __post_init__(self) -> None:
