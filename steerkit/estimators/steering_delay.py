@@ -167,7 +167,8 @@ class DelayBank(Bank):
         """Deviation of what the car's model adds to the delay [s]."""
         return 0.0
 
-    def output(self, t: Any, x: State, u: Any) -> Any:
+    def _found(self, x: State) -> State:
+        """All outputs."""
         dt, n, precision = self.dt, self._line, (_GAIN, _SHARE, 1.0 / self.prior_lag_deviation**2)
         sums, before = Sums._make(x[:4]), _Before._make(x[4:_FIRST])
         moments = x[_FIRST + 3 * n : _FIRST + (3 + MOMENTS) * n]
@@ -201,7 +202,7 @@ class DelayBank(Bank):
         explained = m.both(explained, m.either(first, last) < 0.5)
         valid = [m.where(m.both(explained, d <= most), 1.0, 0.0) for d, most in zip(deviations, enough)]
         found = zip((both - lag, lag, both), deviations, valid)
-        return self.Y(*[number for estimate in found for number in estimate], before.missing)
+        return (*[number for estimate in found for number in estimate], before.missing)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -215,6 +216,9 @@ class WheelDelay(OfWheel, DelayBank):
     Inputs: delta_sw_cmd, delta_sw_meas [rad]; v [m/s]; active [1]. Outputs: delay, lag, delay_lag [s] and what belongs
     to them; missing [1].
     """
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(*self._found(x))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -232,6 +236,9 @@ class YawDelay(OfYawRate, DelayBank):
     yaw_unknown: float = number(0.15, "1", low=0.0, high=1.0)
     """Standard deviation of the car's own delay, as a share of the data sheet's: mostly of the tyres' stiffness [1]."""
     play_share: ClassVar[float] = 0.5
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(*self._found(x))
 
     def _car_unknown(self, speed: Scalar) -> Scalar:
         return self.yaw_unknown * yaw_delay(self.vehicle, speed)

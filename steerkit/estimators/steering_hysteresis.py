@@ -197,7 +197,8 @@ class HysteresisBank(Bank):
         moved = [number for car in cars for number in car]
         return (*summed[:_SUMS], *known, *line, *ends, *moved, *summed[_SUMS:])
 
-    def output(self, t: Any, x: State, u: Any) -> Any:
+    def _found(self, x: State) -> State:
+        """All outputs."""
         known, (begin, end) = Known._make(x[_SUMS:_FILTERS]), self._places[-1]
         best, bank = self._fitted(Sums._make(x[:_SUMS]), x[begin:end])
         width, aside = best.place * _STEP, PER_LAG * known.doubt
@@ -206,7 +207,7 @@ class HysteresisBank(Bank):
         reach = NORMAL_95 * deviation
         precise = m.either(reach <= _SHARE * width, width + reach <= _SMALL)
         valid = m.where(m.both(precise, best.explained), 1.0, 0.0)
-        return self.Y(self.sides * width, self.sides * deviation, valid, known.missing)
+        return self.sides * width, self.sides * deviation, valid, known.missing
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -230,6 +231,9 @@ class SteeringFriction(OfWheel, HysteresisBank):
     beyond: ClassVar[float] = 0.05
     reset_at: ClassVar[float] = 0.005
     coarse: ClassVar[float] = radians_of(0.012)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(*self._found(x))
 
     def _else(self, known: Known, answer: Scalar) -> Scalar:
         return known.rate - known.slow
@@ -271,6 +275,9 @@ class SteeringPlay(OfYawRate, HysteresisBank):
     beyond: ClassVar[float] = 0.001
     reset_at: ClassVar[float] = 0.02
     coarse: ClassVar[float] = radians_of(0.03)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(*self._found(x))
 
     def _answer(self, operator: Scalar, car: State, v: Scalar) -> Scalar:
         return car[1] / steady_gain(self.vehicle, v)

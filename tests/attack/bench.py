@@ -70,7 +70,7 @@ def configuration(name: str, vehicle: str = "", port: str = "") -> tuple[CarConf
             Path(folder, "calibrated.toml").write_text(vehicle)
         Path(folder, "car.toml").write_text(text)
         config = load(Path(folder, "car.toml"))
-    return config, config.course["path"]
+    return config, config.course
 
 
 @cache

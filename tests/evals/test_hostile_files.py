@@ -200,7 +200,7 @@ def test_hostile_files_are_data(
     def begins(*_: object, **__: object) -> None:
         raise ValueError("here a drive would begin")
 
-    for name in ("steerkit.car.session.session", "steerkit.cli.learn._learned"):
+    for name in ("steerkit.car.session.session", "steerkit.learning.report.learn_with_progress"):
         monkeypatch.setattr(name, begins)
     monkeypatch.setattr(sys, "argv", sys.argv)
     monkeypatch.syspath_prepend(".")
