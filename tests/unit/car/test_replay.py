@@ -95,6 +95,7 @@ def forged(folder: Path, **steers: Any) -> tuple[replays.Drive, CarConfig]:
 def test_nothing_that_a_recording_names_is_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, says: str, steers: dict[str, str]
 ) -> None:
+    monkeypatch.setattr(plugins, "_mine", set())  # what other tests of this process have named
     drive, config = forged(tmp_path, **steers)
     (tmp_path / "module_of_mine.py").write_text((tmp_path / "mine.py").read_text())
     monkeypatch.syspath_prepend(tmp_path)
