@@ -68,16 +68,16 @@ def found(manoeuvre: Manoeuvre, drive: Drive) -> tuple[Manoeuvre, list[Run], lis
 
 def _even(drive: Drive, signals: dict[str, Array], least: float) -> list[Run]:
     """Stretches of `least` [s] and more in which the speed stays within 1.5 m/s of its mean so far."""
-    runs, begin, n = list[Run](), 0, len(drive.v)
-    while begin < n:
-        mean = np.cumsum(drive.v[begin:]) / np.arange(1, n - begin + 1)
-        off = (np.abs(drive.v[begin:] - mean) > 1.5) | (drive.v[begin:] < 3.0) | ~drive.measured[begin:]
-        length = int(np.argmax(off)) if off.any() else n - begin
-        if length * drive.dt >= least:
-            part = slice(begin, begin + length)
-            cut = {key: value[part] for key, value in signals.items()}
-            runs.append(Run(t=np.arange(length) * drive.dt, signals=cut, number=len(runs) + 1, whole=True))
-        begin += max(length, 1)
+    runs, edges = list[Run](), np.flatnonzero(np.diff(drive.driving.astype(int), prepend=0, append=0))
+    for begin, end in edges.reshape(-1, 2).tolist():
+        while begin < end:
+            mean = np.cumsum(drive.v[begin:end]) / np.arange(1, end - begin + 1)
+            off = np.abs(drive.v[begin:end] - mean) > 1.5
+            length = int(np.argmax(off)) if off.any() else end - begin
+            if length * drive.dt >= least:
+                cut = {key: value[begin : begin + length] for key, value in signals.items()}
+                runs.append(Run(t=np.arange(length) * drive.dt, signals=cut, number=len(runs) + 1, whole=True))
+            begin += length
     return runs
 
 

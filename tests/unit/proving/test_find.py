@@ -10,7 +10,7 @@ from benchmarks.studies.proving import linear
 from steerkit.logs import read_drive
 from steerkit.logs.drive import Drive
 from steerkit.proving.evaluate import evaluate
-from steerkit.proving.find import correlated, found
+from steerkit.proving.find import _even, correlated, found
 from steerkit.proving.manoeuvre import manoeuvre
 from steerkit.proving.simulate import simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
@@ -114,3 +114,22 @@ def test_the_correlation_is_one_for_the_form_itself_whatever_its_size_and_offset
     assert rho[k] == pytest.approx(-1.0)
     assert size[k] == pytest.approx(-2.0)
     assert np.abs(rho).max() <= 1.0 + 1e-9
+
+
+def test_a_log_that_is_parked_for_long_is_cut_where_it_drives() -> None:
+    """Each sample at rest once began a search of all that follows: 39 s for twenty minutes."""
+    t = 0.01 * np.arange(60_000)
+    drives = ((t >= 200.0) & (t < 260.0)) | ((t >= 300.0) & (t < 330.0)) | ((t >= 400.0) & (t < 500.0))
+    v = np.where(drives, 15.0, 0.0)
+    signals = {"v": v, "r": 0.0 * v, "delta_sw": 0.0 * v, "a_y": 0.0 * v}
+    drive = Drive(name="parked", dt=0.01, delta_sw=v, v=v, r=v, measured=drives | True, calibrated=True)
+    looked = [0]
+
+    class Counted(np.ndarray):  # type: ignore[type-arg]
+        def __getitem__(self, key: Any) -> Any:
+            looked[0] += 1
+            return super().__getitem__(key)
+
+    runs = _even(replace(drive, v=v.view(Counted)), signals, 45.0)
+    assert [len(run.t) for run in runs] == [6000, 10_000]
+    assert looked[0] < 100
