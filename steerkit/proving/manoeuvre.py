@@ -16,8 +16,8 @@ from steerkit._support.files import read_toml
 from steerkit.controllers.open_loop import OpenLoop
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
-from steerkit.paths.courses import course, lane_change
 from steerkit.paths.path import Array, Path
+from steerkit.scenario.parts import Course
 from steerkit.vehicles import Vehicle
 
 SPACING = 0.01
@@ -255,9 +255,7 @@ class Manoeuvre:
     def path(self) -> Path:
         """Its course at its speed; raises ValueError for a manoeuvre with an open-loop input."""
         require(self.course, f"manoeuvre '{self.name}'", "is an open-loop input, it has no course")
-        if self.course.startswith("iso3888-"):
-            return lane_change(int(self.course[-1]), speed=self.conditions.v)
-        return course(self.course)
+        return Course(name=self.course).path(self.conditions.v)
 
     def open_loop(self, base: Block, vehicle: Vehicle, side: str = "left", **more: Any) -> OpenLoop:
         """The block that steers it to a side, before and after which `base` steers; more: fields of `OpenLoop`."""
