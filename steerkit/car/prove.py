@@ -28,7 +28,6 @@ from steerkit.paths.path import Path
 from steerkit.proving.manoeuvre import SPACING, Manoeuvre
 from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.task import DT
-from steerkit.vehicles import Vehicle
 
 LONG = 6.0
 """Waves that last longer are steered on top of the controller [s]."""
@@ -70,10 +69,6 @@ def straight(path: Path, kappa: float) -> Any:
     return free
 
 
-def _per_a_y(car: Vehicle, v: float) -> float:
-    return float(car.steer_ratio * (car.wheelbase / v**2 + car.understeer_gradient))
-
-
 def most(manoeuvre: Manoeuvre, config: CarConfig, v: float) -> dict[str, float]:
     """The largest a_y [m/s^2] of a manoeuvre's input that each limit of a car allows at v [m/s].
 
@@ -84,7 +79,7 @@ def most(manoeuvre: Manoeuvre, config: CarConfig, v: float) -> dict[str, float]:
     gate, states, abort, car = config.gate, config.states, manoeuvre.abort, config.vehicle
     wave = manoeuvre.required.wave[:-1]  # then the controller steers, within the same limits
     change, size = np.diff(wave, prepend=0.0) / SPACING, float(np.abs(wave).max())
-    per_a_y = _per_a_y(car, v)
+    per_a_y = float(car.wheel_per_a_y(v))
     felt = gate.length(v) / (car.wheelbase + car.understeer_gradient * v**2)  # the gate may doubt the understeer
     found = {
         "delta_sw_max": min(gate.delta_sw_max, states.delta_sw_max) / (per_a_y * size),
@@ -119,7 +114,7 @@ def check(manoeuvre: Manoeuvre, config: CarConfig, path: Path, base: str = "stan
     if not low <= v <= high:
         wrong.append(f"v = {v:g} m/s, its file and port allow {low:g} to {high:g} (v_engage_max): --speed {at:g}")
     if not on_course(manoeuvre):
-        asked = manoeuvre.required.angle(config.vehicle, at) / _per_a_y(config.vehicle, at)
+        asked = manoeuvre.required.angle(config.vehicle, at) / float(config.vehicle.wheel_per_a_y(at))
         limits = most(manoeuvre, config, at)
         fits = math.floor(100.0 * min(limits.values())) / 100.0
         tight = ", ".join(f"{name} {a_y:.2f}" for name, a_y in limits.items() if a_y < asked)

@@ -79,9 +79,7 @@ class WithExcitation(Wrapper):
         swing = m.clip(self.steepness * m.sin(2.0 * pi * self.frequency * self._since(x)), -1.0, 1.0)
         a_y = m.where(drives, v * u.r, 0.0)
         low, high = m.minimum(-self.a_y_most - a_y, 0.0), m.maximum(self.a_y_most - a_y, 0.0)
-        car = self.vehicle
-        per_a_y = car.steer_ratio * (car.wheelbase + car.understeer_gradient * v * v) / (v * v)
-        wave = m.clip(per_a_y * m.clip(self.amplitude * swing, low, high), -self.most, self.most)
+        wave = m.clip(self.vehicle.wheel_per_a_y(v) * m.clip(self.amplitude * swing, low, high), -self.most, self.most)
         return m.where(drives, wave, 0.0)
 
     def _since(self, x: State) -> Scalar:

@@ -329,11 +329,17 @@ def _request(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     """
     use, level = run.between(0.0, manoeuvre.seconds), manoeuvre.required.a_y
     if not (level and "delta_sw_cmd" in run.signals):  # as in a log: what the wheel's angle asks
-        per_a_y = vehicle.steer_ratio * (vehicle.wheelbase / run["v"].mean() ** 2 + vehicle.understeer_gradient)
-        level = float(np.abs(run.about("delta_sw")[use]).max() / per_a_y)
+        level = float(np.abs(run.about("delta_sw")[use]).max() / vehicle.wheel_per_a_y(run["v"].mean()))
     t, x = run.t[use], run.about("a_y")[use] / level
     reached = lambda share: float(t[np.argmax(x >= share)]) if (x >= share).any() else math.nan  # noqa: E731
     yield {"delay_50": reached(0.5), "crossing": reached(1.0)}
+
+
+def turned(run: Run) -> tuple[float, float]:
+    """When the wheel is turned, and when it is straight again: a twentieth of its largest angle [s]."""
+    wheel = np.abs(run.about("delta_sw"))
+    times = run.t[wheel > 0.05 * wheel.max()]
+    return float(times[0]), float(times[-1])
 
 
 def _dwell(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
@@ -343,9 +349,7 @@ def _dwell(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     The displacement is that of the centre of gravity, by twice integrating a_y where no position is known.
     Source: 49 CFR 571.126, S5.2, S7.11 (which takes 5 degrees of the wheel).
     """
-    r, wheel = run.about("r"), np.abs(run.about("delta_sw"))
-    turned = run.t[wheel > 0.05 * wheel.max()]
-    begin, end = float(turned[0]), float(turned[-1])
+    r, (begin, end) = run.about("r"), turned(run)
     second = -float(r[run.between(begin, end + 0.2)].min())
     at = lambda time, x: float(np.interp(time, run.t, x))  # noqa: E731
     if {"x", "y", "psi"} <= run.signals.keys():

@@ -79,7 +79,7 @@ class Input:
         """Its size for that car at speed v [m/s], at the steering wheel [rad]."""
         if self.angle_deg:
             return radians_of(self.angle_deg)
-        return float(self.a_y * vehicle.steer_ratio * (vehicle.wheelbase / v**2 + vehicle.understeer_gradient))
+        return float(self.a_y * vehicle.wheel_per_a_y(v))
 
 
 def _time(seconds: float) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.logs.channels import Array
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
-from steerkit.proving.evaluate import Evaluation, crossing
+from steerkit.proving.evaluate import Evaluation, crossing, turned
 from steerkit.proving.runs import Run, prepared
 
 if TYPE_CHECKING:
@@ -100,12 +100,11 @@ def _histories(drawn: list[_Drawn]) -> tuple[str, Figure]:
     panels[-1].set_xlim(left=-1.0)
     if m.evaluation == "dwell":
         for late in (1.0, 1.75):
-            at = 1.0 / m.required.frequency + m.required.dwell + late
-            panels[1].axvline(at, color=COLOURS["limit"], ls="--", lw=1.0)
+            panels[1].axvline(turned(drawn[0].runs[0])[1] + late, color=COLOURS["limit"], ls="--", lw=1.0)
         said += " Dashed: 1.00 and 1.75 s after the input, where the yaw rate is judged."
     if m.evaluation == "request":
         for k, one in enumerate(drawn):
-            run, per_a_y = one.runs[0], m.at(a_y=1.0).required.angle(one.of.vehicle, m.conditions.v)
+            run, per_a_y = one.runs[0], one.of.vehicle.wheel_per_a_y(m.conditions.v)
             asked, use = run.signals.get("delta_sw_cmd", run["delta_sw"]), run.between(-1.0, m.seconds - 2.0 * run.dt)
             label = "" if k else "requested"
             panels[0].plot(run.t[use], asked[use] / per_a_y, color=COLOURS["ink"], ls="--", zorder=4, label=label)

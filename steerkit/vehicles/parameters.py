@@ -81,6 +81,13 @@ class Vehicle:
         """
         return self.m * (self.c_r * self.l_r - self.c_f * self.l_f) / (self.c_f * self.c_r * self.wheelbase)
 
+    def wheel_per_a_y(self, v: Scalar) -> Scalar:
+        """Steering-wheel angle over steady lateral acceleration at v > 0 [m/s]: i (L + K v^2)/v^2 [rad s^2/m].
+
+        Source: Rajamani 2012, section 3.3.
+        """
+        return self.steer_ratio * (self.wheelbase + self.understeer_gradient * v * v) / (v * v)
+
 
 def require_vehicle(vehicle: object, where: str) -> None:
     """Raise ValueError, in the name of `where`, unless this is a `Vehicle`: a name is none yet."""
