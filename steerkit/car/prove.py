@@ -144,8 +144,6 @@ class Proving:
     link: CarClient
     manoeuvre: Manoeuvre
     base: str = "stanley"
-    repeats: int = 0
-    """Valid runs to each side; 0: as the manoeuvre says."""
     minutes: float = 0.0
     """Of a run on the course; 0: a round."""
     yes: bool = False
@@ -182,7 +180,7 @@ class Proving:
     def side(self) -> str:
         """Of the next valid run that is wanted; "" when there are enough."""
         done = Counter(run["side"] for run in self.runs if run["cause"] == "")
-        planned = [(n, side) for n in range(self.repeats or self.manoeuvre.repeats) for side in self._sides]
+        planned = [(n, side) for n in range(self.manoeuvre.repeats) for side in self._sides]
         over = len(self.runs) >= TRIES * len(planned)
         return "" if over else next((side for n, side in planned if done[side] <= n), "")
 
@@ -345,13 +343,15 @@ class Proving:
         self.pressed = True
 
 
-def runs_in(recording: str | FilePath) -> list[dict[str, Any]]:
+def runs_in(recording: str | FilePath | recordings.Recorded) -> list[dict[str, Any]]:
     """The runs in a recording, also in one that is cut short: number, side, begin, end [s], cause, v, a_y, manoeuvre.
 
-    Times are those of the recording's `t`; cause is "" for a valid run. One whose end is not recorded ends where the
-    car let go, with that cause, or with the recording. Raises ValueError for what is no recording.
+    recording: its file, or what was read of it. Times are those of its `t`; cause is "" for a valid run. One whose end
+    is not recorded ends where the car let go, with that cause, or with the recording. Raises ValueError for what is no
+    recording.
     """
-    recorded, runs = recordings.read(recording), list[dict[str, Any]]()
+    recorded = recording if isinstance(recording, recordings.Recorded) else recordings.read(recording)
+    runs = list[dict[str, Any]]()
     for message in recorded.messages:
         t, values, on = message.values["t"], message.values, runs and runs[-1]["end"] is None
         if message.topic == "/state" and on and values.get("from") == Mode.ENGAGED:
@@ -376,16 +376,20 @@ def drive(
     manoeuvre: Manoeuvre,
     *,
     base: str = "stanley",
-    repeats: int = 0,
+    repeats: int | None = None,
     yes: bool = False,
     minutes: float = 0.0,
 ) -> dict[str, Any]:
     """`steerkit prove --car`: drive the runs of a manoeuvre; returns figures, the recording and its `runs`.
 
     Raises ValueError, before anything starts, for what `check` refuses and for `yes` without a simulated car; and
-    before anything moves, where a car server is running: its recording is its own.
+    before anything moves, where a car server is running: its recording is its own. repeats: valid runs to each side, in
+    place of the manoeuvre's; minutes: as of `Proving`.
     """
-    require(options.simulated or not yes, "prove", "--yes consents for simulated cars alone: leave it, or --simulated")
+    alone = "--yes consents for simulated cars alone: leave it, or --simulated; on a real one a person consents"
+    require(options.simulated or not yes, "prove", alone)
+    require(minutes >= 0.0, "prove", f"minutes = {minutes:g}, expected 0 or more")
+    manoeuvre = replace(manoeuvre, repeats=repeats) if repeats is not None else manoeuvre
     config, path = loaded(options.config, "-" if options.simulated else options.channel)
     check(manoeuvre, config, path, base)
     v, off = manoeuvre.conditions.v, 0.25 * manoeuvre.conditions.v_tolerance
@@ -393,7 +397,7 @@ def drive(
     with sessions.session(replace(options, simulate=simulate)) as here:
         require(here.recording, f"{here.socket}", "the car server there was not ours; end it first")
         here.link.wait(timeout=10.0)
-        how: dict[str, Any] = {"base": base, "repeats": repeats, "minutes": minutes, "yes": yes, "say": not here.live}
+        how: dict[str, Any] = {"base": base, "minutes": minutes, "yes": yes, "say": not here.live}
         proving = Proving(config=here.config, path=here.path, link=here.link, manoeuvre=manoeuvre, **how)
         run = sessions.guided(here, f"{manoeuvre.name}, {base}", proving, "prove", {KEY: proving.consent})
     figures = sessions.finished(here, run)

@@ -74,7 +74,7 @@ def prove(
     steer_ratio: SteerRatio = None,
     yes: Annotated[bool, on_car("Consent to every run; with --simulated.", "--yes")] = False,
     repeats: Annotated[int | None, on_car("Runs to each side.")] = None,
-    minutes: Annotated[float, on_car("Longest time; 0: until all is driven.")] = 0.0,
+    minutes: Annotated[float, on_car("Of a run on the course; 0: a round.")] = 0.0,
 ) -> None:
     """Drive a manoeuvre of vehicle testing, or find it in a log, and judge it: ISO 4138, 7401, 13674, 3888, 11270, R79.
 
@@ -95,19 +95,20 @@ def prove(
     console = Console(stderr=options.as_json)
     with contextlib.redirect_stdout(sys.stderr) if options.as_json else contextlib.nullcontext():
         driven = "log"
-        each: Callable[[Manoeuvre], Iterator[Driven]] = partial(_recorded, file=Path(where[0]))
+        each: Callable[[Manoeuvre], Iterator[Driven]]
         if where == ["sim"]:
             base = read_scenario(scenario_file) if scenario_file else Scenario()
             names = [] if cars == ["fleet"] else cars or ["vw-passat"]
             scenarios = [base.with_(vehicle={"name": name}) for name in names] if cars or not scenario_file else [base]
             driven, each = "simulation", partial(_simulated, scenarios=scenarios, controllers=drivers, seed=seed)
         elif where[0].endswith(".toml"):
-            require(options.simulated or not yes, "--yes", "is for a simulated car; on a real one a person consents")
             how: dict[str, Any] = {"base": drivers[0], "repeats": repeats, "yes": yes, "minutes": minutes}
             driven = "simulated car on a bus" if options.simulated else "a car"
             on_a_car = car_options(options, where[0])
-            each = lambda one: _recorded(one, Path(car_prove.drive(on_a_car, one, **how)["recording"]))  # noqa: E731
-        elif len(where) > 1 or not _has_runs(Path(where[0])):
+            each = lambda one: _recorded(one, *_own(Path(car_prove.drive(on_a_car, one, **how)["recording"])))  # noqa: E731
+        elif len(where) == 1 and (own := _with_runs(Path(where[0]))):
+            each = lambda one: _recorded(one, *own)  # noqa: E731
+        else:
             drive = read_drive(where, column_map(columns, column), dbc=dbc or (), steer_ratio=steer_ratio)
             data = vehicle_named(cars[0] if cars else "vw-passat")
             each = partial(_found, drive=drive, data=data)
@@ -151,19 +152,27 @@ def _found(one: Manoeuvre, drive: Drive, data: Vehicle) -> Iterator[Driven]:
     yield {"manoeuvre": driven, "runs": runs, "vehicle": data, "who": who, "notes": notes}
 
 
-def _has_runs(file: Path) -> bool:
-    """Is it a recording of ours with runs of manoeuvres in it, and not a log of another program?"""
+def _own(file: Path) -> tuple[Path, recordings.Recorded, list[dict[str, Any]]]:
+    """A recording of ours, and the runs in it."""
+    recorded = recordings.read(file)
+    return file, recorded, car_prove.runs_in(recorded)
+
+
+def _with_runs(file: Path) -> tuple[Path, recordings.Recorded, list[dict[str, Any]]] | None:
+    """The same; None for one without runs, or a log of another program."""
     try:
-        return file.suffix == ".mcap" and bool(car_prove.runs_in(file))
+        own = _own(file) if file.suffix == ".mcap" else None
     except ValueError:
-        return False
+        return None
+    return own if own and own[2] else None
 
 
-def _recorded(one: Manoeuvre, file: Path) -> Iterator[Driven]:
+def _recorded(
+    one: Manoeuvre, file: Path, recording: recordings.Recorded, runs: list[dict[str, Any]]
+) -> Iterator[Driven]:
     """The runs of a car's own recording, which says when each began, and why it ended; whole or cut short."""
-    recording, cut = recordings.read(file), list[Run]()
-    vehicle = recordings.config_of(recording).vehicle
-    told = [run for run in car_prove.runs_in(file) if run["manoeuvre"] == one.name]
+    cut, vehicle = list[Run](), recordings.config_of(recording).vehicle
+    told = [run for run in runs if run["manoeuvre"] == one.name]
     rows = [row for row in recording.of("/car") if np.isfinite([row[of] for of in RECORDED.values()]).all()]
     at = np.array([row["t"] for row in rows])
     for run in told:
