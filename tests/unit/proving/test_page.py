@@ -115,3 +115,8 @@ def test_a_run_that_is_not_finite_is_shown_with_its_reason(tmp_path: Path) -> No
     run = runs("sine")[0]
     broken = replace(run, signals={**run.signals, "r": np.full_like(run.t, np.nan), "v": np.full_like(run.t, np.nan)})
     assert "signals are not finite" in page(tmp_path, evaluate(manoeuvre("sine"), [broken], CAR.nominal))
+
+
+def test_the_method_says_which_course_was_driven(tmp_path: Path) -> None:
+    assert "straights of 300 m and bends of 250 m with transitions" in page(tmp_path, of("lane-keeping-bend"))
+    assert "bends of 250 m" not in page(tmp_path, of("sine"))
