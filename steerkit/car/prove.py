@@ -25,7 +25,7 @@ from steerkit.car.protocol import Remark, Snapshot
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import realtime
 from steerkit.paths.path import Path
-from steerkit.proving.manoeuvre import SPACING, Manoeuvre
+from steerkit.proving.manoeuvre import SIDES, SPACING, Manoeuvre
 from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.task import DT
 
@@ -358,7 +358,7 @@ def runs_in(recording: str | FilePath | recordings.Recorded) -> list[dict[str, A
             runs[-1]["left"] = runs[-1].get("left", (t, f"{values.get('to')}: {values.get('cause')}"))
         if message.topic != "/steers" or not (text := Steers.read(values["what"]).run):
             continue
-        told = json.loads(text)
+        told = _read(text)
         if told["event"] == "begin":
             runs.append({key: told[key] for key in NOTED} | {"begin": t, "end": None, "cause": None})
         elif told["event"] == "end" and on:
@@ -369,6 +369,20 @@ def runs_in(recording: str | FilePath | recordings.Recorded) -> list[dict[str, A
         if run["end"] is None:
             run["end"], run["cause"] = left
     return runs
+
+
+def _read(text: str) -> dict[str, Any]:
+    """What `Proving` noted of a run; raises ValueError for anything else."""
+    try:
+        told = json.loads(text)
+        keys = {"begin": NOTED, "end": ("cause",), "drive": ()}[told["event"]]
+        for key in keys:
+            words = key in ("side", "manoeuvre", "cause")
+            require(isinstance(told[key], str if words else int | float), key, f"{told[key]!r:.60}")
+        require(told.get("side", "course") in (*SIDES, "course"), "side", f"{told.get('side')!r:.60}")
+        return dict(told)
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise ValueError(f"the recording: {text[:200]!r} is no note of a run ({error})") from error
 
 
 def drive(

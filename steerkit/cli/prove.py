@@ -105,7 +105,7 @@ def prove(
             how: dict[str, Any] = {"base": drivers[0], "repeats": repeats, "yes": yes, "minutes": minutes}
             driven = "simulated car on a bus" if options.simulated else "a car"
             on_a_car = car_options(options, where[0])
-            each = lambda one: _recorded(one, *_own(Path(car_prove.drive(on_a_car, one, **how)["recording"])))  # noqa: E731
+            each = lambda one: _recorded(one, *_own(car_prove.drive(on_a_car, one, **how)["recording"]))  # noqa: E731
         elif len(where) == 1 and (own := _with_runs(Path(where[0]))):
             each = lambda one: _recorded(one, *own)  # noqa: E731
         else:
@@ -152,19 +152,25 @@ def _found(one: Manoeuvre, drive: Drive, data: Vehicle) -> Iterator[Driven]:
     yield {"manoeuvre": driven, "runs": runs, "vehicle": data, "who": who, "notes": notes}
 
 
-def _own(file: Path) -> tuple[Path, recordings.Recorded, list[dict[str, Any]]]:
-    """A recording of ours, and the runs in it."""
+Own = tuple[Path, recordings.Recorded, list[dict[str, Any]]]
+"""A recording of ours: its file, what was read of it, and the runs in it."""
+
+
+def _own(file: str) -> Own:
     recorded = recordings.read(file)
-    return file, recorded, car_prove.runs_in(recorded)
+    return Path(file), recorded, car_prove.runs_in(recorded)
 
 
-def _with_runs(file: Path) -> tuple[Path, recordings.Recorded, list[dict[str, Any]]] | None:
-    """The same; None for one without runs, or a log of another program."""
+def _with_runs(file: Path) -> Own | None:
+    """A recording of ours with runs in it; None for one without, or a log of another program."""
+    if file.suffix != ".mcap":
+        return None
     try:
-        own = _own(file) if file.suffix == ".mcap" else None
+        recorded = recordings.read(file)
     except ValueError:
         return None
-    return own if own and own[2] else None
+    runs = car_prove.runs_in(recorded)
+    return (file, recorded, runs) if runs else None
 
 
 def _recorded(

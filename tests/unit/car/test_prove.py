@@ -18,7 +18,7 @@ from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.config import CarConfig
 from steerkit.car.loop import Steers
-from steerkit.car.prove import CONSENT, RECORDING_ENDS, TRIES, WARNING, check, most, runs_in, straight
+from steerkit.car.prove import CONSENT, RECORDING_ENDS, TRIES, WARNING, Proving, check, most, runs_in, straight
 from steerkit.car.session import Options
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
@@ -110,13 +110,18 @@ def test_a_key_before_the_question_is_no_consent(kit: CarConfig) -> None:
     assert world.runs == []
 
 
-def test_consent_is_for_one_run_after_a_warning_and_expires(kit: CarConfig) -> None:
+def consented(kit: CarConfig) -> tuple[ProvingWorld, Proving, float]:
+    """A kit whose human has just consented to a run, and when [s]."""
     world = world_of(kit)
     assert world.proving is not None
     world.engage()
     world.go_on(lambda: "press g" in world.status)
     world.proving.consent()
-    given = world.t
+    return world, world.proving, world.t
+
+
+def test_consent_is_for_one_run_after_a_warning_and_expires(kit: CarConfig) -> None:
+    world, proving, given = consented(kit)
     world.until(world.t + 0.1)
     assert "HANDS ON THE WHEEL: it begins in 1.9 s" in world.status
     fast = world.car.pedals
@@ -128,7 +133,7 @@ def test_consent_is_for_one_run_after_a_warning_and_expires(kit: CarConfig) -> N
     world.go_on(lambda: "press g" in world.status)
     world.until(world.t + 4.0)
     assert world.runs == [], "the consent was too old"
-    world.proving.consent()
+    proving.consent()
     asked = world.t
     world.go_on(lambda: bool(world.runs))
     assert world.runs[0]["begin"] - asked == pytest.approx(WARNING, abs=0.15)
@@ -138,12 +143,7 @@ def test_consent_is_for_one_run_after_a_warning_and_expires(kit: CarConfig) -> N
 
 
 def test_who_lets_go_takes_the_consent_back(kit: CarConfig) -> None:
-    world = world_of(kit)
-    assert world.proving is not None
-    world.engage()
-    world.go_on(lambda: "press g" in world.status)
-    world.proving.consent()
-    given = world.t
+    world, _, given = consented(kit)
     world.until(world.t + 0.2)
     assert "it begins in" in world.status
     world.order(Order.DISENGAGE)
@@ -445,3 +445,26 @@ def test_drive_puts_it_together(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(KeyboardInterrupt):
         prove.drive(Options(config="dbw-kit.toml", simulated=True), small(a_y=0.1), yes=True)
     assert seen[0].simulate == pytest.approx({"v_min": V - 0.2, "v_max": V + 0.2})
+
+
+@pytest.mark.parametrize(
+    "note",
+    [
+        "[]",
+        "3",
+        "null",
+        "{",
+        "{}",
+        '{"event": "begin"}',
+        '{"event": "end"}',
+        '{"event": "land"}',
+        '{"event": "begin", "number": 1, "side": "up", "v": 8, "a_y": 1, "manoeuvre": "sine"}',
+        '{"event": "begin", "number": 1, "side": "left", "v": "fast", "a_y": 1, "manoeuvre": "sine"}',
+    ],
+)
+def test_a_recording_that_tells_nonsense_of_a_run_is_refused_in_words(note: str) -> None:
+    text = Steers(name="stanley", run=note).text()
+    told = recordings.Message("/steers", {"t": 1.0, "what": text})
+    recorded = recordings.Recorded(metadata={}, messages=[told], gaps=[], size=0, in_use=False)
+    with pytest.raises(ValueError, match=r"the recording: .* is no note of a run"):
+        runs_in(recorded)
