@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.studies.proving import closed_forms, linear, noisy
 from steerkit.metrics.comfort import r79_acceleration
-from steerkit.proving.evaluate import Evaluation, crossing, evaluate, of_repeats, peak
+from steerkit.proving.evaluate import Evaluation, crossing, evaluate, of_repeats, peak, plateaus
 from steerkit.proving.manoeuvre import Limit, Manoeuvre, manoeuvre, names
 from steerkit.proving.runs import Run
 from steerkit.proving.simulate import simulated
@@ -277,3 +277,17 @@ def test_facts_are_json() -> None:
     assert json.loads(json.dumps(facts))["manoeuvre"] == "lane-change-2"
     assert facts["passed"] is True
     assert facts["limits"][0]["source"]
+
+
+@pytest.mark.parametrize(("drift", "counts"), [(0.0, True), (0.012, True), (0.04, False)])
+def test_a_whole_drive_is_steady_where_angle_and_yaw_rate_change_by_less_than_a_hundredth(
+    drift: float, counts: bool
+) -> None:
+    """Between the halves of 2 s: 0.01 |r| + 0.002 rad/s and 0.01 |angle| + 0.004 rad are allowed."""
+    t = 0.01 * np.arange(200)
+    r = 0.4 * (1.0 + drift * (t >= 1.0))
+    for changing in ("r", "delta_sw"):
+        signals = {"delta_sw": 0.0 * t + 1.0, "v": 0.0 * t + 15.0, "r": 0.0 * t + 0.4, "a_y": 6.0 + 0.0 * t}
+        signals[changing] = r if changing == "r" else r / 0.4
+        found = plateaus(Run(t=t, signals=signals, whole=True), manoeuvre("steady-state-circle"))
+        assert len(found) == counts
