@@ -341,9 +341,8 @@ def prove(file: str, socket: str, name: str, car: str) -> None:
     path = config.course
     with CarClient(socket) as link:
         link.wait(timeout=20.0)
-        wanted = fitting(name, config, v)
-        how: dict[str, Any] = {"base": base, "yes": True, "repeats": 20, "minutes": 1.0}
-        proving = Proving(config=config, path=path, link=link, manoeuvre=wanted, **how)
+        wanted = replace(fitting(name, config, v), repeats=20)
+        proving = Proving(config=config, path=path, link=link, manoeuvre=wanted, base=base, yes=True, minutes=1.0)
         link.order(Order.ARM)
         seconds = 1.0 if on_course(wanted) else 0.4 * min(wanted.seconds, 6.0)
 
