@@ -90,7 +90,7 @@ class ProvingWorld(ProductionWorld):
     def __init__(self, wanted: Manoeuvre, config: CarConfig, path: Course, *, file: Path | None = None, **more: Any):
         self.recorder = recordings.Recording(file, recordings.described(config, path)) if file else None
         self.beyond, self.before = 0, (-math.inf, 0.0)
-        how = {key: more.pop(key) for key in ("base", "repeats", "minutes", "yes") if key in more}
+        how = {key: more.pop(key) for key in ("base", "minutes", "yes") if key in more}
         v = wanted.conditions.v
         given = {"s": 20.0, "v_min": v - 0.1, "v_max": v + 0.1}
         super().__init__(config, path, judged=bool(config.port), **given | more)

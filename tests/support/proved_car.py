@@ -30,7 +30,7 @@ class ProvingWorld(World):
     def __init__(self, wanted: Manoeuvre, config: CarConfig, path: Course, *, s: float = 20.0, **more: Any):
         self.proving: Proving | None = None
         self.seen: list[Snapshot] = []
-        how = {key: more.pop(key) for key in ("base", "repeats", "minutes", "yes") if key in more}
+        how = {key: more.pop(key) for key in ("base", "minutes", "yes") if key in more}
         v = more.pop("v", (wanted.conditions.v - 0.1, wanted.conditions.v + 0.1))
         super().__init__(s=s, v=v, config=config, path=path, **more)
         self.due = math.inf  # the human drives alone
