@@ -51,6 +51,7 @@ KEYS = {
         "openpilot_report_samples_off"
     ),
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
+    "scoreboard": "good_seconds good_share",
     "sweep": "best compile_seconds cores drive_seconds gains seconds",
     "throughput": (
         "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_x "
@@ -189,6 +190,8 @@ def sensible(name: str, f: Any) -> None:
         case "mpc_solve":
             assert min(f["ltv20_x_raw_qp"], f["nmpc20_x_raw_qp"]) > 0.0
             assert f["ltv20_unsolved"] == 0
+        case "scoreboard":
+            assert f["good_seconds"].keys() == f["good_share"].keys()
         case "sweep":
             assert (f["gains"], f["drive_seconds"]) == (20, 5.0)
             assert f["best"]["max_e"] < 1e-9  # the course begins straight
