@@ -3,7 +3,7 @@
 A loop is run once on symbols (`trace`), which leaves a list of instructions a tick (`graph`); from that list the
 backends are generated: `python_code` (floats) and `c_code`. Both give the trajectory of `simulate` to rounding: the
 Python code bit for bit, C to about 1e-13. A block with a `steerkit.diagram.maths.Routine` (a solver, for example) runs
-in C, which calls its Python function, and in Python. `gradient` differentiates a run, by CasADi.
+in C, which calls its Python function, and in Python.
 """
 
 from __future__ import annotations

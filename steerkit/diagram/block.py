@@ -184,12 +184,6 @@ class Block:
         )
         return f"{type(self).__name__}({', '.join(values)})"
 
-    def _repr_html_(self) -> str:
-        """Parameters and ports as tables, for a notebook."""
-        from steerkit.plots.notebook import block_html
-
-        return block_html(self)
-
     if not TYPE_CHECKING:  # a checker should see unknown names as errors
 
         def __getattr__(self, name: str) -> Any:

@@ -136,7 +136,7 @@ class Loop:
 
     def _repr_png_(self) -> bytes:
         """The diagram, for a notebook."""
-        from steerkit.plots.notebook import png
+        from steerkit.plots.style import png
 
         return png(self.plot())
 

@@ -1,7 +1,7 @@
 """The functions that equations are written with: one formula for every backend.
 
 Each function takes Python floats (fast, by `math`), NumPy arrays (a batch of cars) or symbols
-(a trace's for C, CasADi's for gradients). Equations use these and plain arithmetic, `where` for `if`, nothing else.
+(a trace's for C, CasADi's). Equations use these and plain arithmetic, `where` for `if`, nothing else.
 Neither NumPy's dispatch nor CasADi is paid for when the arguments are floats.
 """
 

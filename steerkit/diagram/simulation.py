@@ -139,11 +139,12 @@ class Log(Mapping[str, np.ndarray]):
 
         return animate(self, path, file, **options)
 
-    def _repr_html_(self) -> str:
-        """Ranges of all signals and a picture of some, for a notebook."""
-        from steerkit.plots.notebook import log_html
+    def _repr_png_(self) -> bytes | None:
+        """Some signals over time, for a notebook."""
+        from steerkit.plots.log import telling
+        from steerkit.plots.style import png
 
-        return log_html(self)
+        return png(self.plot(*telling(self))) if len(self.t) > 1 else None
 
 
 class Recorder:

@@ -1,1 +1,1 @@
-"""Pictures: one style; signals of a log, courses, the diagram of a loop, films, notebooks."""
+"""Pictures: one style; signals of a log, courses, the diagram of a loop, films."""

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from steerkit.diagram.simulation import Log, Signal
 
 
+_SHOWN = ("e", "delta_sw", "v", "a_y", "psi_e", "r")  # outputs worth a panel, best first
+_PANELS = 4
+
+
 def plot_log(log: Log, signals: Sequence[Signal] | None = None) -> Figure:
     """Signals of a log over t, one panel a unit, all panels over the same t; returns the figure.
 
@@ -44,6 +48,14 @@ def plot_log(log: Log, signals: Sequence[Signal] | None = None) -> Figure:
         panel.margins(x=0.0)
     panels[-1].set_xlabel("t [s]")
     return figure
+
+
+def telling(log: Log) -> list[str]:
+    """Up to four signals, of different names, that tell most about a drive; else the first ones."""
+    chosen = []
+    for name in _SHOWN:
+        chosen += [signal for signal in log if signal.rpartition(".")[2] == name and log[signal].size][:1]
+    return chosen[:_PANELS] or [signal for signal in log if log[signal].size][:_PANELS]
 
 
 def _name(log: Log, signal: Signal) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from steerkit._support.version import version
-from steerkit.plots.notebook import png
+from steerkit.plots.style import png
 
 DPI = 190
 """Of a picture: sharp where it is 5 inches wide on paper."""

@@ -6,6 +6,7 @@ opens a window; `figure.savefig(...)`, or show them in a notebook.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,6 +62,13 @@ def save(figure: Figure, file: Any, **options: Any) -> None:
     finally:
         figure.dpi = dpi
         figure.set_layout_engine(engine)
+
+
+def png(figure: Any, dpi: int = DPI) -> bytes:
+    """A figure as the bytes of a PNG file."""
+    stream = io.BytesIO()
+    save(figure, stream, format="png", dpi=dpi)
+    return stream.getvalue()
 
 
 def new_figure(

@@ -141,7 +141,7 @@ def mutants(file: str, source: bytes) -> Iterator[Mutant]:
                 return
             case ast.If(test=test) if re.search("TYPE_CHECKING|__name__", ast.unparse(test)):
                 return
-            case ast.FunctionDef(name="__repr__" | "__str__" | "_repr_html_"):
+            case ast.FunctionDef(name="__repr__" | "__str__"):
                 return
             case ast.Call(func=ast.Name(id="require"), args=[condition, *_]):
                 yield from walk(condition)

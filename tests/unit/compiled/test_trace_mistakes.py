@@ -1,4 +1,4 @@
-"""What a block may do wrong while it is traced: compile, export_c and gradient say the same, with the line."""
+"""What a block may do wrong while it is traced: compile and export_c say the same, with the line."""
 
 import math
 import re
@@ -13,7 +13,6 @@ import pytest
 import steerkit
 from steerkit._support.errors import WiringError
 from steerkit.compiled import TraceError
-from steerkit.compiled.gradient import gradient
 from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
@@ -108,11 +107,7 @@ def loop_of(controller: Block) -> steerkit.Loop:
 
 def ways(block: Block, folder: Path) -> dict[str, Any]:
     loop = loop_of(block)
-    return {
-        "compile": lambda: steerkit.compile(loop, backend="python"),
-        "export_c": lambda: export_c(block, folder),
-        "gradient": lambda: gradient(loop, 0.1, parameters=["car.vehicle.m"], cost=lambda y: y["path.e"] ** 2),
-    }
+    return {"compile": lambda: steerkit.compile(loop, backend="python"), "export_c": lambda: export_c(block, folder)}
 
 
 @pytest.mark.parametrize("what", MISTAKES)

@@ -94,3 +94,7 @@ def test_signals_flow_from_left_to_right() -> None:
     boxes = {box.name: box for box in arrange(learning()).boxes}
     order = ["car", "path", "controller", "doe", "supervisor"]
     assert all(boxes[a].x + boxes[a].width < boxes[b].x for a, b in pairwise(order))
+
+
+def test_in_a_notebook_a_loop_shows_its_diagram() -> None:
+    assert learning()._repr_png_()[:4] == b"\x89PNG"

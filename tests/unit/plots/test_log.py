@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.simulation import Log, simulate
-from steerkit.plots.log import plot_log
+from steerkit.plots.log import plot_log, telling
 from tests.support.diagrams import small
 
 
@@ -27,3 +27,12 @@ def test_a_batch_has_its_cars_in_their_order() -> None:
     figure = Log(log.t, {"wave.v": values}, {"wave.v": "m"}).plot("wave.v")
     for car, line in enumerate(figure.axes[0].get_lines()):
         np.testing.assert_array_equal(line.get_ydata(), values[:, car])
+
+
+def test_in_a_notebook_a_log_shows_what_tells_most_of_a_drive(log: Log) -> None:
+    assert [name.rpartition(".")[2] for name in telling(log)] == ["e", "delta_sw", "v", "a_y"]
+    assert telling(simulate(small(), 1.0))  # none of these names: the first ones
+    picture = log._repr_png_()
+    assert picture
+    assert picture[:4] == b"\x89PNG"
+    assert Log(np.zeros(1), {"a.b": np.zeros(1)}, {"a.b": "1"})._repr_png_() is None
