@@ -30,7 +30,6 @@ from typing import Any, NamedTuple, get_type_hints
 
 from steerkit._support import files
 from steerkit._support.errors import require
-from steerkit._support.files import atomic_write
 from steerkit.car import protocol
 from steerkit.car.config import CarConfig, Reading
 from steerkit.car.core import Core, End, Event, Frame, Link, Note, Output, Packet, RecordingFault, Send, Tick
@@ -79,7 +78,7 @@ class Message(NamedTuple):
 
 
 class RecordingFile:
-    """A new file to write messages to; nobody else can repair it as long as it is open.
+    """A new file to write messages to; who reads it knows as long as it is open.
 
     description: texts about what is in it. begin: when it begins, since 1970 [ns]. Raises FileExistsError, and OSError
     from everything.
@@ -92,7 +91,7 @@ class RecordingFile:
         try:
             fcntl.flock(self._stream, fcntl.LOCK_EX)  # a reader that looks whether it is in use is gone at once
         except OSError as error:
-            _log.warning("%s cannot be locked, so a repair cannot know that it is being written: %s", file, error)
+            _log.warning("%s cannot be locked, so a reader cannot know that it is being written: %s", file, error)
         self._writer = Writer(
             self._stream, chunk_size=CHUNK, compression=CompressionType.NONE, index_types=IndexType.CHUNK
         )
@@ -111,11 +110,10 @@ class RecordingFile:
             self.abandon()
             raise
 
-    def add(self, topic: str, when: int, data: bytes, number: int | None = None) -> None:
-        """A message; it is in the file after `flush`. number: its own in the file that it is copied from."""
-        count = self._count if number is None else number
-        self._writer.add_message(1 + TOPICS.index(topic), when, data, when, count)
-        self._count = count + 1
+    def add(self, topic: str, when: int, data: bytes) -> None:
+        """A message; it is in the file after `flush`."""
+        self._writer.add_message(1 + TOPICS.index(topic), when, data, when, self._count)
+        self._count += 1
 
     def flush(self) -> None:
         """Close the chunk and hand it to the operating system: a kill loses nothing of it."""
@@ -292,7 +290,7 @@ def differences(recorded: Recorded, config: CarConfig, path: Path) -> list[str]:
 
 
 class Gap(NamedTuple):
-    """A place where a file is damaged, cut off, or where messages were missing already when it was repaired."""
+    """A place where a file is damaged or cut off."""
 
     begin: int
     """Byte of the file; so is `end`, the first one behind."""
@@ -327,14 +325,13 @@ class Recorded(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Was the file closed properly, and does all that is read fit its sums? Otherwise a repair does it good."""
+        """Was the file closed properly, and does all that is read fit its sums?"""
         return not self.in_use and not any(gap.end > gap.begin or gap.before is None for gap in self.gaps)
 
     @property
     def lost(self) -> list[str]:
-        """Which messages are missing, or may be; also those that were missing before a repair."""
-        earlier = json.loads(self.metadata.get("repaired", "[]"))
-        return [*earlier, *(str(gap) for gap in self.gaps if gap.missing != 0 and (gap.end > gap.begin or not earlier))]
+        """Which messages are missing, or may be."""
+        return [str(gap) for gap in self.gaps if gap.missing != 0]
 
     @property
     def whole(self) -> bool:
@@ -504,32 +501,6 @@ def config_of(recorded: Recorded) -> CarConfig:
     texts = {k.removeprefix("file:"): text for k, text in recorded.metadata.items() if k.startswith("file:")}
     require("config.toml" in texts, "the recording", "its description is damaged or has no configuration: no replay")
     return Reading("the recording", files.toml_of(texts["config.toml"], "the recording"), texts).config({})
-
-
-def repair(
-    file: str | os.PathLike[str], target: str | os.PathLike[str] | None = None, *, overwrite: bool = False
-) -> tuple[Recorded, File]:
-    """Write all that is intact in a recording to a new file, with a proper end; `file` itself is never changed.
-
-    target: the new file; by default beside `file`, as NAME.repaired.mcap. overwrite: even if it is there already.
-    Returns what is kept, and where. Raises ValueError for a recording that is being written, FileExistsError, and
-    OSError when it cannot be written; then `target` is as it was.
-    """
-    place = File(target) if target else File(file).with_suffix(f".repaired{File(file).suffix}")
-    recorded = read(file)
-    require(not recorded.in_use, f"{file}", "is being written by a car server; repair it when that has ended")
-    if place.exists() and place.samefile(file):
-        raise ValueError(f"{place}: is the recording itself, which a repair never changes; choose another name")
-    if place.exists() and not overwrite:
-        raise FileExistsError(f"{place}: exists already; it is overwritten only with --overwrite")
-    begin = recorded.messages[0].when if recorded.messages else 0
-    with atomic_write(place) as draft, contextlib.ExitStack() as stack:
-        new = RecordingFile(draft, {**recorded.metadata, "repaired": json.dumps(recorded.lost)}, begin)
-        stack.callback(new.abandon)
-        for message in recorded.messages:
-            new.add(message.topic, message.when, message.data, message.number)
-        new.close()
-    return recorded, place
 
 
 def replayed_exactly(recorded: Recorded, core: Core) -> tuple[int, int]:

@@ -197,28 +197,18 @@ def replay(
     file: Annotated[FilePath, typer.Argument(help="A recording, .mcap.")],
     controller: Annotated[str, typer.Option(help="Replay through this one, instead of those who steered.")] = "",
     run: Annotated[str, typer.Option(help="Directory of the learning run, if it has moved.")] = "",
-    out: Annotated[str, typer.Option(help="File for the repaired recording; default: FILE.repaired.mcap.")] = "",
-    overwrite: Annotated[bool, typer.Option(help="Write that file even if it is there already.")] = False,
 ) -> None:
     """Look into a recording, and replay it: are the commands the same, bit for bit?
 
-    One that is damaged or cut short is repaired into a new file and stays as it is itself. One that is still being
-    written is only looked into. Exit code: 0; 1 when messages are missing, 2 when a replay lacks something.
+    Of one that is damaged, cut short, or still being written, what is intact so far is read. Exit code: 0; 1 when
+    messages are missing, 2 when a replay lacks something.
     """
     recorded = recordings.read(file)
     print(recorded.kept())
     for line in [*recorded.lost, *(str(gap) for gap in recorded.gaps if gap.missing == 0)]:
         print(f"  {line}")
-    if recorded.in_use and out:
-        raise ValueError(f"{file}: is being written by a car server; repair it when that has ended")
     if recorded.in_use:
         print("it is being written by a car server: this is what is there so far")
-    elif not recorded.sound:
-        try:
-            place = recordings.repair(file, out or None, overwrite=overwrite)[1]
-            print(f"all that is intact is in {place}; {file} is as it was")
-        except FileExistsError as error:
-            print(f"not repaired: {error}")
     for v in recorded.of("/state"):
         print(f"  {v['t']:.3f} s  {v.get('from')} -> {v.get('to')}: {v.get('cause')}")
     config = recordings.config_of(recorded)

@@ -115,9 +115,6 @@ def test_kill_the_car_server(bench: dict[str, Any]) -> None:
     recorded = recordings.read(bench["record"])
     assert not recorded.whole
     assert recorded.of("/can/rx")
-    again = recordings.read(recordings.repair(bench["record"])[1])
-    assert again.sound
-    assert [repr(m) for m in again.messages] == [repr(m) for m in recorded.messages]
     assert last > 0
 
 

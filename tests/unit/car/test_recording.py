@@ -1,4 +1,4 @@
-"""Recordings of a drive: written, read, cut, damaged, repaired, replayed bit for bit."""
+"""Recordings of a drive: written, read, cut, damaged, replayed bit for bit."""
 
 import fcntl
 import json
@@ -23,7 +23,7 @@ from steerkit.car.state_machine import Mode
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.file import vehicle_text
 from tests.support.car_world import World, setup
-from tests.support.recordings import LINES, chunked, chunks_of, flipped, full_disk, same, small, until
+from tests.support.recordings import LINES, chunked, chunks_of, flipped, full_disk, small, until
 
 # ---- what is read ------------------------------------------------------------------------------------------
 
@@ -184,53 +184,6 @@ def test_what_is_missing_is_told_in_messages_bytes_and_seconds(drive: Path) -> N
     assert str(recordings.read(drive).gaps[0]).endswith(": no message is missing")
 
 
-def test_a_repair_writes_a_new_file_and_keeps_all_behind_the_damage(drive: Path) -> None:
-    chunks = chunks_of(small())
-    hurt = flipped(flipped(small(), 8 * (chunks[3].begin + 200)), 8 * (chunks[6].begin + 1))[: chunks[-1].end]
-    drive.write_bytes(hurt)
-    left, place = recordings.repair(drive)
-    assert drive.read_bytes() == hurt
-    assert place == drive.with_name("drive.repaired.mcap")
-    assert sorted(f.name for f in drive.parent.iterdir()) == ["drive.mcap", "drive.repaired.mcap"]
-    again = recordings.read(place)
-    assert again.sound
-    assert not again.whole
-    assert same(again.messages, left.messages)
-    assert again.lost == left.lost
-    assert len(again.lost) == 3
-    assert {k: v for k, v in again.metadata.items() if k != "repaired"} == left.metadata
-    place.write_bytes(place.read_bytes()[: chunks_of(place.read_bytes())[-1].end + 5])
-    again = recordings.read(place)  # damaged once more: both are told
-    assert not again.sound
-    assert again.lost[:3] == left.lost
-    assert len(again.lost) == 4
-    _, third = recordings.repair(place)
-    assert third.name == "drive.repaired.repaired.mcap"
-    assert recordings.read(third).lost == again.lost
-
-
-def test_a_repair_overwrites_nothing_unless_it_is_told_to_and_never_the_recording(drive: Path) -> None:
-    drive.write_bytes(small()[:-100])
-    other = drive.with_name("other.mcap")
-    other.write_text("mine")
-    with pytest.raises(FileExistsError, match=r"other\.mcap: exists already; it is overwritten only with --overwrite"):
-        recordings.repair(drive, other)
-    assert other.read_text() == "mine"
-    with pytest.raises(ValueError, match="is the recording itself"):
-        recordings.repair(drive, drive, overwrite=True)
-    assert drive.read_bytes() == small()[:-100]
-    recordings.repair(drive, other, overwrite=True)
-    assert recordings.read(other).whole
-
-
-def test_a_repair_that_cannot_be_written_leaves_nothing_behind(drive: Path) -> None:
-    drive.write_bytes(small()[:-100])
-    with full_disk(30_000), pytest.raises(OSError, match="too large"):
-        recordings.repair(drive)
-    assert [f.name for f in drive.parent.iterdir()] == ["drive.mcap"]
-    assert drive.read_bytes() == small()[:-100]
-
-
 # ---- what a replay needs -----------------------------------------------------------------------------------
 
 
@@ -292,7 +245,6 @@ def test_a_recording_without_description_says_that_there_is_no_replay(tmp_path: 
     assert len(recorded.messages) == len(recordings.parse(small()).messages)
     with pytest.raises(ValueError, match="its description is damaged or has no configuration"):
         recordings.config_of(recorded)
-    assert len(recordings.read(recordings.repair(tmp_path / "t.mcap")[1]).messages) == len(recorded.messages)
 
 
 def test_what_is_different_from_then_is_told(drive: Path) -> None:
@@ -305,7 +257,7 @@ def test_what_is_different_from_then_is_told(drive: Path) -> None:
     assert {"the course of that name is another one", "the vehicle of that name is another one"} < set(told)
 
 
-def test_a_recording_in_use_is_looked_into_but_not_repaired(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_in_use_is_looked_into(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recordings, "SYNC", 1e6)  # the operating system has it before the disk
     file = tmp_path / "t.mcap"
     recorder = recordings.Recording(file, {"a": "b"})
@@ -315,9 +267,6 @@ def test_a_recording_in_use_is_looked_into_but_not_repaired(tmp_path: Path, monk
     assert recorded.in_use
     assert recorded.gaps == []
     assert not recorded.whole
-    with pytest.raises(ValueError, match="is being written by a car server; repair it when that has ended"):
-        recordings.repair(file)
-    assert [f.name for f in tmp_path.iterdir()] == ["t.mcap"]
     recorder.close()
     assert recordings.read(file).whole
 
