@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Column, Table
 
-from steerkit._support.errors import require
 from steerkit.cli.options import Machine, Picture, Quiet, written
 from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
@@ -40,7 +39,6 @@ def log(
     dbc: Dbc = None,
     steer_ratio: SteerRatio = None,
     plot: Picture = None,
-    csv: Annotated[Path | None, written("Write the drive as a table too: t, delta_sw, v, r, ...", ".csv")] = None,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -60,11 +58,6 @@ def log(
     if plot is not None:
         save(picture(found), plot)
         console.print(f"picture: {plot}", soft_wrap=True)
-    if csv is not None:
-        require(found.drive is not None, f"--csv {csv}", f"there is no drive in it: {found.trouble}")
-        assert found.drive is not None
-        found.drive.to_log().save(csv)
-        console.print(f"table: {csv}", soft_wrap=True)
     if as_json:
         rows = [{k: v if v == v else None for k, v in row.items()} for row in found.rows]
         answer = {"channels": rows, "notes": list(found.notes), "trouble": found.trouble}

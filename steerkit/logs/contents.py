@@ -32,7 +32,7 @@ class Contents:
     trouble: str
     """Why it makes none."""
     notes: tuple[str, ...]
-    """What was read as what, what was repaired, and what else holds the same."""
+    """What was read as what, and what was repaired."""
 
 
 def contents(log: RawLog, columns: ColumnMap | None = None, *, steer_ratio: float | None = None) -> Contents:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import LARGEST, opened, refuse_workbook
 from steerkit._support.quantities import place
 from steerkit.logs import can_frames, ros, tables
-from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, candidates, is_command, unit_of
+from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, is_command, unit_of
 from steerkit.logs.drive import ODD, Drive, aligned, in_metres, in_order, odd_values
 
 LONGEST = 0.5
@@ -24,35 +24,13 @@ LONGEST = 0.5
 FINE = 0.01
 """Clock on which two channels are compared [s]."""
 AGREE = 0.7
-"""From this correlation on two channels hold the same."""
-_MOST = 4
-"""Other channels of a quantity that are compared."""
+"""From this correlation on an axis of a gyro is the one that goes with the steering."""
 _DAY = 86400.0
 """[s]"""
 _SPARSE = 0.75
 """A column of a table that is empty in more rows than these leave has rows of its own."""
 _LEAST = 5.0
 """Shortest time that both have to have been recorded [s]."""
-
-
-class Agreement(NamedTuple):
-    """other(t + lag) = scale * reference(t) + offset, as well as `correlation` says."""
-
-    lag: float
-    """How late the other one is [s]; negative where it is early."""
-    scale: float
-    """The other's size over the reference's."""
-    offset: float
-    """What the other says where the reference is zero, in its unit."""
-    correlation: float
-    """1: fully; 0: not at all."""
-
-    def __str__(self) -> str:
-        when = "late" if self.lag >= 0.0 else "early"
-        return (
-            f"{abs(self.lag):.3f} s {when}, {self.scale:.3f} times, offset {self.offset:+.4f}, "
-            f"correlation {self.correlation:.3f}"
-        )
 
 
 def yaw_axis(used: ColumnMap, channels: Mapping[str, Channel], notes: list[str]) -> ColumnMap:
@@ -69,9 +47,7 @@ def yaw_axis(used: ColumnMap, channels: Mapping[str, Channel], notes: list[str])
     wheel, v = channels[angle.name], channels[used.columns["v"].name]
     steered = np.sign(angle.scale) * wheel.values * np.interp(wheel.t, *in_order(v.t, v.values))
     try:
-        found = {
-            axis: agreement(wheel.t, steered, channels[axis].t, channels[axis].values).correlation for axis in axes
-        }
+        found = {axis: correlation(wheel.t, steered, channels[axis].t, channels[axis].values) for axis in axes}
     except ValueError:
         return used
     best = max(axes, key=lambda axis: abs(found[axis]))
@@ -84,61 +60,27 @@ def yaw_axis(used: ColumnMap, channels: Mapping[str, Channel], notes: list[str])
     return ColumnMap({**used.columns, "r": column})
 
 
-def other_channels(used: ColumnMap, channels: Mapping[str, Channel], where: str) -> list[str]:
-    """What other channels say of the quantities of a drive, in words: the same, or how late and how large."""
-    notes = []
-    for quantity in ("delta_sw", "v", "r"):
-        if quantity not in used.columns:
-            continue
-        column = used.columns[quantity]
-        mine = channels[column.name]
-        reference = column.in_si(quantity, mine.values, where)
-        others = [name for name in candidates(quantity, channels) if name != column.name]
-        for name in others[:_MOST]:
-            other = channels[name]
-            values = Column(name, unit_of(quantity, other)).in_si(quantity, other.values, where)
-            if np.array_equal(mine.t, other.t) and np.array_equal(reference, values):
-                notes.append(f"{quantity} is in {name} too, the same to the last bit")
-                continue
-            try:
-                found = agreement(mine.t, reference, other.t, values)
-            except ValueError:
-                continue
-            alike = abs(found.correlation) >= AGREE
-            told = found if alike else f"another one, correlation {found.correlation:.2f}"
-            notes.append(f"{quantity} is in {name} too: {told}")
-    return notes
+def correlation(t: Array, reference: Array, t_other: Array, other: Array) -> float:
+    """How far `other` goes with `reference`, both over their own times [s], at the lag within 0.5 s where it does most.
 
-
-def agreement(t: Array, reference: Array, t_other: Array, other: Array) -> Agreement:
-    """How `other` follows `reference`, both over their own times [s]; NaN and gaps are left out.
-
-    The lag is that of the largest correlation within 0.5 s, to a fraction of 0.01 s by a parabola through the three
-    largest. The scale is the ratio of the spreads (reduced major axis), so that noise on the reference does not make
-    the other look smaller. Raises ValueError for less than 5 s in common.
+    From -1 to 1. NaN and gaps are left out. Raises ValueError for less than 5 s in common.
     """
     (t, reference), (t_other, other) = (in_order(*pair) for pair in ((t, reference), (t_other, other)))
     both = len(t) and len(t_other)
     begin, end = (max(t[0], t_other[0]) + LONGEST, min(t[-1], t_other[-1]) - LONGEST) if both else (0.0, 0.0)
-    require(end - begin >= _LEAST, "agreement", f"{max(end - begin, 0.0):.1f} s in common, expected {_LEAST:g} or more")
+    require(
+        end - begin >= _LEAST, "correlation", f"{max(end - begin, 0.0):.1f} s in common, expected {_LEAST:g} or more"
+    )
     clock = np.arange(begin, end, FINE)
     base = _smooth(np.interp(clock, t, reference))
+    base -= base.mean()
 
-    def at(lag: float) -> tuple[Array, float]:
-        """The other one so much earlier, and its correlation with the reference."""
+    def at(lag: float) -> float:
         values = _smooth(np.interp(clock + lag, t_other, other))
         spread = float(np.std(base) * np.std(values))
-        return values, float(np.mean((base - base.mean()) * values)) / spread if spread > 0.0 else 0.0
+        return float(np.mean(base * values)) / spread if spread > 0.0 else 0.0
 
-    steps = np.arange(-round(LONGEST / FINE), round(LONGEST / FINE) + 1)
-    size = np.abs([at(k * FINE)[1] for k in steps])
-    best = int(np.argmax(size))
-    lag = FINE * float(steps[best])
-    if 0 < best < len(size) - 1 and (bend := size[best - 1] - 2.0 * size[best] + size[best + 1]) < 0.0:
-        lag += FINE * float(0.5 * (size[best - 1] - size[best + 1]) / bend)
-    late, correlation = at(lag)
-    scale = float(np.sign(correlation) * np.std(late) / np.std(base)) if correlation else 0.0
-    return Agreement(lag, scale, float(late.mean() - scale * base.mean()), correlation)
+    return max((at(lag) for lag in np.arange(-LONGEST, LONGEST + 0.5 * FINE, FINE)), key=abs)
 
 
 def _smooth(values: Array) -> Array:
@@ -247,7 +189,7 @@ def drive_of(
     if "r" in used.columns and "r" not in columns.columns:
         used = yaw_axis(used, log.channels, notes)
     read = f"read {', '.join(([f't = {clock.name}'] if clock else []) + [used.text()])}"
-    notes = [read, *log.notes, *notes, *other_channels(used, log.channels, where)]
+    notes = [read, *log.notes, *notes]
     values = {quantity: c.in_si(quantity, log.channels[c.name].values, where) for quantity, c in used.columns.items()}
     times = {quantity: log.channels[column.name].t for quantity, column in used.columns.items()}
     name, digest = log.name, log.digest

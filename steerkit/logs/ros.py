@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from array import array
-from collections import Counter
 from collections.abc import Callable, Iterator
 from operator import attrgetter
 from pathlib import Path
@@ -19,74 +18,27 @@ from steerkit.logs.channels import Table
 
 
 def intact(file: Path, notes: list[str]) -> Iterator[tuple[str, str, float, Any]]:
-    """(topic, kind, when it was received [s], message) up to where the file breaks off; chunks whose check sum is wrong
-    are left out. A note says so.
+    """(topic, kind, when it was received [s], message) of an MCAP file up to where it breaks off, without its index."""
+    from mcap.reader import NonSeekingReader
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    The index at the file's end is not needed; where it is there, it names topics whose description is lost. Needs
-    mcap and rosbags.
-    """
-    from mcap.records import Channel, Message, Schema
-    from rosbags.typesys import Stores, get_typestore
-
-    store, kinds, topics = get_typestore(Stores.EMPTY), dict[int, str](), dict[int, tuple[str, str]]()
-    for record in _records(file):
-        try:
-            if isinstance(record, Schema):
-                kinds[record.id] = _learned(store, record)
-            elif isinstance(record, Channel) and record.message_encoding == "cdr":
-                topics[record.id] = record.topic, kinds[record.schema_id]
-        except Exception:  # of rosbags, for a text that describes no message
-            continue
-    count, trouble = 0, Counter[str]()
-    for record in _records(file):
-        if isinstance(record, str):
-            trouble[record] += 1
-        elif isinstance(record, Message) and record.channel_id in topics:
-            topic, name = topics[record.channel_id]
-            kind = name.rpartition("/")[2]
-            if kind in _HEAVY:
-                continue
-            try:
-                message = store.deserialize_cdr(record.data, name)
-            except Exception:  # bytes that are not what their kind says
-                trouble["a message that cannot be read"] += 1
-                continue
-            count += 1
-            yield topic, kind, 1e-9 * record.log_time, message
-    told = ", ".join(f"{number} times {what}" if number > 1 else what for what, number in trouble.items())
-    notes.append(
-        f"cut off or broken ({told or 'no index, or no metadata.yaml'}): what is intact is used, {count} messages"
-    )
-
-
-def _records(file: Path) -> Iterator[Any]:
-    """The records of a file, those in chunks too; in words, what is wrong with a chunk, or why there are no more."""
-    from mcap.records import Chunk
-    from mcap.stream_reader import StreamReader, breakup_chunk
-
+    store, count, why = get_typestore(Stores.EMPTY), 0, "no index, or no metadata.yaml"
     with Bounded(file) as stream:
         try:
-            for record in StreamReader(stream, emit_chunks=True, record_size_limit=file.stat().st_size).records:
-                if not isinstance(record, Chunk):
-                    yield record
+            reader = NonSeekingReader(stream, validate_crcs=True, record_size_limit=file.stat().st_size)
+            for schema, channel, message in reader.iter_messages(log_time_order=False):
+                if schema is None or channel.message_encoding != "cdr" or schema.name.endswith(_HEAVY):
                     continue
-                try:
-                    inside = breakup_chunk(record, validate_crc=True)
-                except Exception:  # its check sum is wrong, or the packers' errors
-                    yield "a chunk that is not intact"
-                    continue
-                yield from inside
-        except Exception as error:  # mcap's own, struct's, and whatever text may be
-            yield f"{type(error).__name__} {error}".strip()[:80]
-
-
-def _learned(store: Any, schema: Any) -> str:
-    from rosbags.typesys import get_types_from_idl, get_types_from_msg
-
-    text = schema.data.decode()
-    types = get_types_from_idl(text) if schema.encoding == "ros2idl" else get_types_from_msg(text, schema.name)
-    store.register({name: fields for name, fields in types.items() if name not in store.fielddefs})
-    return str(schema.name)
+                if schema.name not in store.fielddefs:
+                    text, idl = schema.data.decode(), schema.encoding == "ros2idl"
+                    types = get_types_from_idl(text) if idl else get_types_from_msg(text, schema.name)
+                    store.register({name: fields for name, fields in types.items() if name not in store.fielddefs})
+                told = store.deserialize_cdr(message.data, schema.name)
+                count += 1
+                yield channel.topic, schema.name.rpartition("/")[2], 1e-9 * message.log_time, told
+        except Exception as error:  # mcap's own, rosbags', struct's, and whatever text may be
+            why = f"{type(error).__name__} {error}".strip()[:80]
+    notes.append(f"cut off or broken ({why}): what comes before is used, {count} messages")
 
 
 _TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))

@@ -58,8 +58,6 @@ TWO = ("--controller", "mpc", "--controller", "lqr")
         (("drive", "stanley", *CAR, "--recording", "there.mcap"), "recordings are not overwritten"),
         (("log", "none.csv"), "cannot be read"),
         (("log", "a.csv", "--plot", "a.txt"), "--plot a.txt: expected a name that ends in .png, .pdf, .svg"),
-        (("log", "a.csv", "--csv", "a.txt"), "--csv a.txt: expected a name that ends in .csv"),
-        (("log", "a.csv", "--csv", "b.csv", "-q"), "there is no drive in it: "),
         (("plot", "drive.npz", "path.e"), "no signal 'path.e' in the log; recorded: car.n"),
         (("plot", "drive.npz", "--out", "a.gif"), "--out a.gif: expected a name that ends in .png, .pdf, .svg"),
         (("export", "drive.npz", "--csv", "a.xlsx"), "--csv a.xlsx: expected a name that ends in .csv, .parquet"),

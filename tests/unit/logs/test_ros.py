@@ -105,7 +105,7 @@ def test_a_folder_without_its_description_and_what_is_no_bag_teach(bag: Bag, tmp
     folder = closed(bag)
     (folder / "metadata.yaml").unlink()  # as after a recorder that was killed
     log = read_log(folder)
-    assert log.notes == ("cut off or broken (no index, or no metadata.yaml): what is intact is used, 1 messages",)
+    assert log.notes == ("cut off or broken (no index, or no metadata.yaml): what comes before is used, 1 messages",)
     assert log.channels["/odom.twist.twist.linear.x"].values.tolist() == [5.0]
     (folder / "bag.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(99))
     with pytest.raises(ValueError, match="no ROS bag"):
@@ -149,27 +149,22 @@ def test_of_a_file_that_is_cut_off_what_comes_before_is_used(whole: tuple[bytes,
     for share in (0.6, 0.9):
         drive = read(data[: int(share * len(data))], tmp_path)
         (note,) = notes_of(drive)
-        assert "what is intact is used" in note
+        assert "what comes before is used" in note
         n = len(drive.v)
         assert 0.4 * len(right.v) < n < len(right.v)
         np.testing.assert_array_equal(drive.v[: n - 1], right.v[: n - 1])
 
 
-def test_a_chunk_that_does_not_hold_its_sum_is_left_out_and_told(whole: tuple[bytes, Drive], tmp_path: Path) -> None:
-    """The first one too, which has the descriptions of its topics: those stand at the file's end once more."""
+def test_from_a_chunk_on_that_does_not_hold_its_sum_nothing_is_used(whole: tuple[bytes, Drive], tmp_path: Path) -> None:
     data, right = whole
     summary = make_reader(io.BytesIO(data)).get_summary()
     assert summary is not None
-    chunks = summary.chunk_indexes
-    for chunk in (chunks[0], chunks[len(chunks) // 2]):
-        spoilt = bytearray(data)
-        spoilt[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 16
-        drive = read(bytes(spoilt), tmp_path)
-        (note,) = notes_of(drive)
-        assert "a chunk that is not intact" in note
-        assert drive.dt == right.dt
-        assert drive.measured.sum() < right.measured.sum()
-        begin = len(right.v) - len(drive.v)  # as the first seconds are missing where the first chunk is
-        both = drive.measured & right.measured[begin:]
-        assert both.sum() > 300
-        np.testing.assert_allclose(drive.v[both], right.v[begin:][both], atol=1e-5)
+    chunk = summary.chunk_indexes[2 * len(summary.chunk_indexes) // 3]
+    spoilt = bytearray(data)
+    spoilt[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 16
+    drive = read(bytes(spoilt), tmp_path)
+    (note,) = notes_of(drive)
+    assert "CRC" in note
+    n = len(drive.v)
+    assert 0.4 * len(right.v) < n < 0.8 * len(right.v)
+    np.testing.assert_array_equal(drive.v[: n - 1], right.v[: n - 1])
