@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from benchmarks import scoreboard
+from benchmarks.run import spread
 
 PARTS = tuple(sorted(file.stem for file in Path(scoreboard.__path__[0]).glob("*.py") if file.stem != "__init__"))
 """All parts."""
@@ -23,6 +24,7 @@ PARTS = tuple(sorted(file.stem for file in Path(scoreboard.__path__[0]).glob("*.
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Which parts, and the options of each."""
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="what to measure (default all)")
+    spread.add_options(parser)
     for part in PARTS:
         _module(part).add_options(parser.add_argument_group(f"of the part {part}"))
 

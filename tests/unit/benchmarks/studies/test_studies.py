@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -51,7 +52,7 @@ KEYS = {
         "openpilot_report_samples_off"
     ),
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
-    "scoreboard": "good_seconds good_share",
+    "scoreboard": "agents_x_model_free agents_x_same_model computing_seconds good_seconds good_share",
     "sweep": "best compile_seconds cores drive_seconds gains seconds",
     "throughput": (
         "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_x "
@@ -67,8 +68,8 @@ KEYS = {
 """What each prints, at least."""
 KEPT = {"foreign": ("--keep", "drives.jsonl"), "safety": ("--keep", "learners.jsonl")}
 """Asked to leave a file."""
-SHORTER = {"learning": ("--course", "circle")}
-"""Each net is test-driven over a whole round, which takes longer than the learning."""
+SHORTER = {"learning": ("--course", "circle"), "scoreboard": () if find_spec("sbx") else ("--agents", "default")}
+"""Each net is test-driven over a whole round, which takes longer than the learning; sbx-rl is of the extra peers."""
 DRIVEN_FOR_LONG = ("throughput", "vehicle_state")
 """Studies whose loops drive for longer, in their quick forms, than it takes to optimise them."""
 
@@ -191,7 +192,9 @@ def sensible(name: str, f: Any) -> None:
             assert min(f["ltv20_x_raw_qp"], f["nmpc20_x_raw_qp"]) > 0.0
             assert f["ltv20_unsolved"] == 0
         case "scoreboard":
-            assert f["good_seconds"].keys() == f["good_share"].keys()
+            assert f["good_seconds"].keys() == f["good_share"].keys() == f["computing_seconds"].keys()
+            assert f["agents_runs"]["default"][0]["failures"] > 0
+            assert 0.0 < f["good_seconds"]["default"] <= 12.0
         case "sweep":
             assert (f["gains"], f["drive_seconds"]) == (20, 5.0)
             assert f["best"]["max_e"] < 1e-9  # the course begins straight
