@@ -121,7 +121,7 @@ def whole_samples(where: str, name: str, value: Any, dt: float) -> int:
     return n
 
 
-def in_one_line(error: Exception, *, foreign: bool = False) -> str:
+def in_one_line(error: BaseException, *, foreign: bool = False) -> str:
     """An error in one line: what, where, the notes that it was given on its way; of `foreign` code, its kind too."""
     text = str(error.args[0] if isinstance(error, KeyError) and error.args else error)
     if isinstance(error, OSError) and error.strerror:

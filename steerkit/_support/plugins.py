@@ -54,19 +54,19 @@ def is_outside(name: str) -> bool:
     return ":" in name
 
 
-def imported(name: str, where: str) -> Any:
+def imported(name: str, where: str, parent: str = "") -> Any:
     """The thing that `name` points to, such as the function `make` of my_file.py.
 
     name: `FILE.py:THING` or `PACKAGE.MODULE:THING`. where: what it is wanted for, such as `controller`; errors begin
-    with it. A file is run as it stands now, with its folder on the path, so that it can import its neighbours. Raises
-    ValueError, in one line, for a file or module that is not there, or fails when it is run, or lacks the thing, or is
-    named by a file alone: see `named_in`.
+    with it. parent: the module that `from . import` in a file means. A file is run as it stands now, with its folder on
+    the path, so that it can import its neighbours. Raises ValueError, in one line, for a file or module that is not
+    there, or fails when it is run, or lacks the thing, or is named by a file alone: see `named_in`.
     """
     home, _, thing = name.rpartition(":")
     where = f"{where} '{name}'"
     require(home and thing.isidentifier(), where, "expected FILE.py:NAME or PACKAGE.MODULE:NAME")
     _note(home, where)
-    module = _module(home, where)
+    module = _module(home, where, parent)
     public = [key for key in vars(module) if not key.startswith("_")]
     require(hasattr(module, thing), where, f"{home} has no '{thing}'; it has {', '.join(public) or 'nothing'}")
     return getattr(module, thing)
@@ -128,11 +128,11 @@ def fingerprints(data: Any) -> dict[str, str]:
     return found
 
 
-def _module(home: str, where: str) -> ModuleType:
+def _module(home: str, where: str, parent: str = "") -> ModuleType:
     """The module of that name, or in that file."""
     text = _text(Path(home), where) if home.endswith(".py") else None
     try:
-        return importlib.import_module(home) if text is None else _run(Path(home).resolve(), text)
+        return importlib.import_module(home) if text is None else _run(Path(home).resolve(), text, parent)
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise
@@ -141,9 +141,9 @@ def _module(home: str, where: str) -> ModuleType:
 
 
 @lru_cache
-def _run(file: Path, text: bytes) -> ModuleType:
+def _run(file: Path, text: bytes, parent: str = "") -> ModuleType:
     """The module in a file; once for each text, so that classes in it stay the same ones."""
-    key = f"{_PREFIX}{_digest(str(file).encode() + text)}_{file.stem}"
+    key = f"{parent}{'.' * bool(parent)}{_PREFIX}{_digest(str(file).encode() + text)}_{file.stem}"
     spec = importlib.util.spec_from_file_location(key, file)
     assert spec is not None
     module = importlib.util.module_from_spec(spec)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 
 from steerkit._support.console import console
 from steerkit._support.errors import in_one_line, require
@@ -36,7 +37,7 @@ from steerkit.learning import rundir
 from steerkit.plots.animation import film_writer
 from steerkit.plots.drive import round_driven, rounds_driven
 from steerkit.plots.style import save
-from steerkit.scenario import Scenario
+from steerkit.scenario import Scenario, lateral
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.catalogue import CONTROLLERS
 
@@ -58,6 +59,9 @@ def drive(
     out: Annotated[Path | None, in_simulation("Directory for the log and the picture.")] = None,
     animate: Annotated[Path | None, in_simulation("Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
     stream: Stream = "",
+    target: Annotated[
+        str, in_simulation("A target of lateral acceleration instead of the course: drawn-7, lap, or a CSV file.")
+    ] = "",
     pace: Annotated[float, in_simulation("With --stream: times real time.")] = 1.0,
     minutes: Annotated[float, on_car("How many minutes; 0: until `q`.")] = 0.0,
 ) -> None:
@@ -90,6 +94,14 @@ def drive(
     require(stream or "pace" not in given(ctx), "drive --pace", "is for --stream PORT; say that too")
     require(not (stream and len(asked) > 1), f"--stream {stream}", "shows one controller; name one")
     scenario = scenario_of(ctx)
+    if target:
+        idle = given(ctx) & {"rounds", "animate", "stream"}
+        require(not idle, f"--target {target}", f"leave {', '.join(sorted(idle))} out: it is no course")
+        console.stderr = options.as_json
+        rows = _lateral(asked, scenario, target, out, options.seed)
+        if options.as_json:
+            print(json.dumps(rows[0] if len(asked) == 1 else {"drives": rows}))
+        return
     where = driven_on(scenario, options.conditions)
     asked = [_learned(where, options.seed) if one == "nfq" else one for one in asked]
     require(len(set(asked)) == len(asked), "drive", f"a controller stands twice in {', '.join(asked)}")
@@ -141,6 +153,24 @@ def driven(
         kept = ", ".join(map(str, files.values()))
         console.print(f"{'log' if one else 'logs'}: {kept}; picture: {place}/drive.png", soft_wrap=True)
     return [evaluate.row_of(name, log) for name, log in logs.items()]
+
+
+def _lateral(
+    names: Sequence[str], scenario: Scenario, target: str, out: Path | None, seed: int
+) -> list[dict[str, Any]]:
+    """Drives after a target: a table of their costs, and a log of each in `out`."""
+    aim, rows = lateral.LateralTarget.read(target, scenario), list[dict[str, Any]]()
+    for name in names:
+        log = lateral.lateral_drive(scenario, aim, lateral.lateral_controller(name, scenario), seed=seed)
+        rows.append({"controller": name, **lateral.lateral_cost_of(log)})
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            log.save(out / f"{_file_name(name)}.npz")
+    table = Table(*rows[0], title=f"target {target}, {aim.seconds:g} s")
+    for row in rows:
+        table.add_row(*[value if isinstance(value, str) else f"{value:.2f}" for value in row.values()])
+    console.print(table)
+    return rows
 
 
 def _drive(name: str, scenario: Scenario, **how: Any) -> Log:

@@ -18,10 +18,13 @@ from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log
 from steerkit.export import car as cars
+from steerkit.export.controls_challenge import controls_challenge
 from steerkit.learning import rundir
 from steerkit.logs.foxglove import layout as write_layout
 from steerkit.logs.foxglove import to_mcap
 from steerkit.logs.tables import write_mf4
+from steerkit.scenario import Scenario
+from steerkit.scenario.lateral import lateral_controller
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.file import tables_of
 
@@ -43,16 +46,17 @@ def export(
     layout: Annotated[Path | None, written("The layout for it of Foxglove, or of PlotJuggler", *LAYOUTS)] = None,
     commonroad: Annotated[Path | None, typer.Option(help="A car as a CommonRoad parameter set, .yaml.")] = None,
     opendbc: Annotated[Path | None, typer.Option(help="A car as a row of opendbc, .json.")] = None,
+    challenge: Annotated[Path | None, written("An MPC for its steering, for comma's controls challenge", ".py")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")] = False,
 ) -> None:
     """Export a learning run (policy to ONNX, transitions to Minari), a log (MCAP, CSV, MF4), or a car
-    (CommonRoad, opendbc)."""
-    wanted = (onnx, minari, mcap, csv, mf4, layout, commonroad, opendbc)
+    (CommonRoad, opendbc, a file for comma's controls challenge)."""
+    wanted = (onnx, minari, mcap, csv, mf4, layout, commonroad, opendbc, challenge)
     if all(one is None for one in wanted):
         raise ValueError(
             "export: nothing to do; give --onnx FILE or --minari NAME of a run, --mcap, --csv, --mf4 or --layout FILE "
-            "of a log, --commonroad or --opendbc FILE of a car"
+            "of a log, --commonroad, --opendbc or --challenge FILE of a car"
         )
     console, done = Console(quiet=quiet, soft_wrap=True), dict[str, Any]()
     if onnx is not None:
@@ -65,6 +69,9 @@ def export(
     if commonroad is not None or opendbc is not None:
         _car(run, commonroad, opendbc)
         console.print(f"car: {', '.join(str(file) for file in (commonroad, opendbc) if file is not None)}")
+    if challenge is not None:
+        write_text(challenge, controls_challenge(lateral_controller("mpc", Scenario.under(vehicle=str(run)))))
+        console.print(f"controller: {challenge}")
     writers: dict[str, Callable[[Log, Path], Any]] = {"mcap": to_mcap, "csv": Log.save, "mf4": write_mf4}
     if logs := {kind: file for kind, file in zip(writers, (mcap, csv, mf4)) if file is not None}:
         record = record_of(run)

@@ -9,6 +9,7 @@ from typing import Any
 
 from steerkit.compiled.graph import FUNCTIONS, INFIX, Graph
 from steerkit.compiled.trace import Trace
+from steerkit.diagram.maths import Table
 
 _INFIX = INFIX | {"and": "and", "or": "or"}
 _LONGEST = 150  # characters of what is written where it is used: Python nests 200 parentheses
@@ -44,7 +45,7 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
             lines.append(f"{pad}{f'el{phases}' if number else phases}:" if number < last else f"{pad}else:")
             pad += "    "
         roots = [tick.roots[slot] for slot in (*persistent, *recorded)]
-        code, names = _statements(tick.graph, roots, trace)
+        code, names = statements(tick.graph, roots, len(trace.layout), trace.tables)
         lines += [pad + line for line in code]
         row = "".join(f"{name}, " for name in names[len(persistent) :])
         lines.append(f"{pad}{'' if every == 1 else f'if not k % {every}: '}append(({row}))")
@@ -60,8 +61,10 @@ def _run(trace: Trace, recorded: Sequence[int], every: int) -> list[str]:
     ]
 
 
-def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[str], list[str]]:
-    """Assignments, and the names of the roots. What is used once is written where it is used."""
+def statements(graph: Graph, roots: Sequence[int], slots: int, tables: Sequence[Table]) -> tuple[list[str], list[str]]:
+    """Assignments, and the names of the roots. What is used once is written where it is used.
+
+    Input 0 is called k, the `slots` after it s0, s1, ..., what follows p0, p1, ..."""
     order, root_nodes = graph.order(roots), set(roots)
     uses = Counter(j for i in order for j in graph.operands(i))
     text: dict[int, str] = {}
@@ -72,13 +75,13 @@ def _statements(graph: Graph, roots: Sequence[int], trace: Trace) -> tuple[list[
         if op == "const":
             text[i] = _number(float.fromhex(operands[0]))
         elif op == "in":
-            slot, slots = operands[0], len(trace.layout)
+            slot = operands[0]
             text[i] = "k" if slot == 0 else f"s{slot - 1}" if slot <= slots else f"p{slot - slots - 1}"
         elif op == "row":
             table, index, column = operands
             if (table, index) not in rows:
                 rows[table, index] = f"r{len(rows)}"
-                width = trace.tables[table].rows.shape[1]
+                width = tables[table].rows.shape[1]
                 columns = "".join(f"{rows[table, index]}_{c}, " for c in range(width))
                 lines.append(f"{columns}= table{table}[int({text[index]})]")
             text[i] = f"{rows[table, index]}_{column}"

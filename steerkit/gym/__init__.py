@@ -1,10 +1,12 @@
 """Steering a car along a path as Gymnasium environments; importing this registers them (extra `gym`).
 
 * `steerkit/TrackSteering-v0`: discrete actions, by default the paper's five steps of the steering wheel;
-* `steerkit/TrackSteeringContinuous-v0`: the same with the wheel's speed in [-1, 1].
+* `steerkit/TrackSteeringContinuous-v0`: the same with the wheel's speed in [-1, 1];
+* `steerkit/LateralAcceleration-v0`: a target of lateral acceleration instead of a course.
 
-Both have a vector environment of their own, so that `gymnasium.make_vec(id, num_envs=N)` drives N cars in one loop, in
-C with all that is judged and drawn. `steerkit.gym.episodes.Episodes` is what it is made of: a batch in given arrays.
+The first two have a vector environment of their own, so that `gymnasium.make_vec(id, num_envs=N)` drives N cars in one
+loop, in C with all that is judged and drawn. `steerkit.gym.episodes.Episodes` is what it is made of: a batch in given
+arrays.
 """
 
 from __future__ import annotations
@@ -26,3 +28,5 @@ for _name, _kwargs in (("TrackSteering", {}), ("TrackSteeringContinuous", {"acti
             vector_entry_point="steerkit.gym.vector_env:TrackSteeringVector",
             kwargs=_kwargs,
         )
+if "steerkit/LateralAcceleration-v0" not in gymnasium.registry:
+    gymnasium.register("steerkit/LateralAcceleration-v0", entry_point="steerkit.gym.lateral:LateralAcceleration")

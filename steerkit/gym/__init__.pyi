@@ -1,6 +1,7 @@
 """The public names of steerkit.gym."""
 
 from .env import TrackSteering as TrackSteering
+from .lateral import LateralAcceleration as LateralAcceleration
 from .stable_baselines import Network as Network
 from .stable_baselines import PolicyBlock as PolicyBlock
 from .stable_baselines import from_stable_baselines as from_stable_baselines

@@ -12,6 +12,7 @@ from .drive import step_times as step_times
 from .drive import summary as summary
 from .signals import accelerations as accelerations
 from .signals import largest as largest
+from .signals import lateral_cost as lateral_cost
 from .signals import lateral_jerk as lateral_jerk
 from .signals import magnitude_at as magnitude_at
 from .signals import rates as rates

@@ -142,3 +142,16 @@ def step(t: ArrayLike, where: str, signal: ArrayLike | None = None) -> float:
     if not (math.isfinite(dt) and dt > 0.0 and float(np.abs(np.diff(times) - dt).max()) < 1e-3 * dt):
         raise ValueError(f"{where}: t is not evenly spaced and rising; resample the signals first")
     return dt
+
+
+def lateral_cost(t: ArrayLike, a_y: ArrayLike, target: ArrayLike) -> dict[str, float]:
+    """How well a target of lateral acceleration is followed: lataccel_cost, jerk_cost and total_cost [1].
+
+        lataccel_cost = 100 mean (a_y - target)^2,  jerk_cost = 100 mean (da_y/dt)^2,  total = 50 lataccel + jerk
+
+    t (T,) [s], even; a_y, target (T,) [m/s^2]. NaN where a sample is. Raises ValueError for uneven t or other lengths.
+    Source: comma's controls challenge v2.
+    """
+    off = samples("lateral_cost", a_y) - samples("lateral_cost", target)
+    lataccel, jerk = 100.0 * rms(off) ** 2, 100.0 * rms(rates(t, a_y)) ** 2
+    return {"lataccel_cost": lataccel, "jerk_cost": jerk, "total_cost": 50.0 * lataccel + jerk}

@@ -26,6 +26,7 @@ from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
+from steerkit.controllers.lateral import LateralMpc
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
@@ -60,6 +61,7 @@ from steerkit.plants.speed_driver import (
     SpeedProfile,
 )
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
+from steerkit.scenario.lateral import LateralTarget
 from steerkit.vehicles import VW_PASSAT as PASSAT
 from steerkit.vehicles.rollout import GateLimits, GateModel
 from tests.support.places import ROOT
@@ -128,6 +130,8 @@ EXAMPLES = [
     *map(Example, (Stanley.textbook(PASSAT), delayed_stanley(PASSAT, delay=0.13, lag=0.1))),
     Example(DelayPredictor(block=Stanley.of(PASSAT))),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, delay=0.13, preview_points=5, v_step=3.0)),
+    *(Example(LateralMpc(response=LateralMpc.told(0.25, 0.1), gain=1.4, moves=moves)) for moves in (1, 3)),
+    Example(dataclasses.replace(LateralTarget.of([0.3, -0.2, 0.5], [7.0, 8.0, 9.0], 0.1), preview_points=2)),
     Example(dataclasses.replace(Stanley.of(PASSAT), slew=5.0, a_y_limit=3.0)),
     Example(delayed_stanley(PASSAT, delay=0.13, lag=0.1, slew=20.0, a_y_limit=3.0)),
     Example(Lqr.of(PASSAT, LinearSingleTrack(vehicle=PASSAT).matrices, preview_points=5, v_step=3.0, slew=5.0)),
@@ -329,9 +333,9 @@ def documents(kind: type[Block]) -> str:
     return "\n".join(c.__doc__ or "" for c in kind.__mro__ if issubclass(c, Block) and c is not Block)
 
 
-ELSEWHERE = {"PredictiveSteering", "MPC", "NonlinearMPC", "RealCar", "FmuPlant"}
-"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is somebody's file,
-an open policy is run on symbols only."""
+ELSEWHERE = {"PredictiveSteering", "MPC", "NonlinearMPC", "RealCar", "FmuPlant", "ChallengeController"}
+"""Blocks with a suite of their own: a solver's milliseconds differ, a bus is not pure, an FMU is somebody's file, as is
+a controller of the challenge, an open policy is run on symbols only."""
 STARTS = {"VehicleState", "WithElement-PolicyBlock"}
 """Blocks with direct inputs that only say where to start from: no output sees them."""
 

@@ -174,3 +174,25 @@ def test_a_vehicle_beside_a_scenarios_file_brings_its_steering(
     own = Scenario.under(vehicle=str(tmp_path / "car.toml")).steering.delay
     assert own > 0.0
     assert told == [(own, 0.2, 0.2), (0.07, 0.2, 0.2)]
+
+
+def test_a_target_of_lateral_acceleration_instead_of_a_course(tmp_path: Path, cli: Any) -> None:
+    """Ours, and the file that we write for the challenge: the same commands, so the same cost."""
+    cli("export", "vw-passat", "--challenge", tmp_path / "ours.py")
+    (tmp_path / "t.csv").write_text("t,a_y,v\n0,0,12\n2,1.5,12\n4,-1,14\n6,0,14\n")
+    name, words = f"{tmp_path / 'ours.py'}:Controller", ("--target", tmp_path / "t.csv", "--json", "-q")
+    rows = cli("drive", "lqr", "mpc", name, *words, "--out", tmp_path / "logs").json["drives"]
+    assert [row["controller"] for row in rows] == ["lqr", "mpc", name]
+    assert rows[1]["total_cost"] == pytest.approx(rows[2]["total_cost"], rel=1e-9)
+    assert 0.0 < rows[1]["total_cost"] <= rows[0]["total_cost"] + 1e-9
+    assert len(list((tmp_path / "logs").glob("*.npz"))) == 3
+    assert cli("drive", "mpc", *words).json == rows[1]
+
+
+def test_a_target_has_no_rounds_and_no_car(tmp_path: Path, cli: Any) -> None:
+    assert "leave rounds out" in cli("drive", "mpc", "--target", "drawn-7", "--rounds", "1", code=2).err
+    said = cli("drive", "mpc", "--target", "drawn-7", "--car", "dbw-kit.toml", code=2).err
+    assert "--target is for simulations: a car is driven along a course" in said
+    (tmp_path / "theirs.py").write_text("class Controller:\n    def update(self, *_):\n        return 0.0\n")
+    said = cli("drive", f"{tmp_path / 'theirs.py'}:Controller", "--car", "dbw-kit.toml", code=2).err
+    assert "theirs.py:Controller" in said

@@ -1,7 +1,6 @@
 """The graph of instructions simplifies only what is exact."""
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 
 from steerkit.compiled.c_code import function_source
 from steerkit.compiled.graph import FUNCTIONS, Graph
-from steerkit.compiled.python_code import _statements
+from steerkit.compiled.python_code import statements
 from steerkit.compiled.trace import traced
 from steerkit.diagram import maths as m
 
@@ -39,7 +38,7 @@ def test_symbols_write_down_what_is_computed_with_them() -> None:
     """A negative zero stays one, as in the interpreted loop."""
     tick = traced("equations", lambda new: [*equations(new(), new()), -0.0 * new()], [])
     texts = function_source("f(void)", tick, [f"y{i}" for i in range(16)], "x{}".format, [])
-    code, roots = _statements(tick.graph, tick.roots, SimpleNamespace(layout=(0, 0, 0), tables=[]))
+    code, roots = statements(tick.graph, tick.roots, 3, [])
     assert "(-0.0)" in texts
     scope = {**{f"{name}_": getattr(math, name) for name in FUNCTIONS}, "k": 1.3, "s0": 0.7, "s1": 1.0}
     for x, y in ((1.3, 0.7), (-0.4, 2.0), (0.5, 0.5)):

@@ -21,6 +21,22 @@ def test_the_magnitude_of_95_percent() -> None:
             metrics.magnitude_at([1.0], share)
 
 
+def test_the_cost_of_a_target_of_lateral_acceleration() -> None:
+    """A sine against a share of itself; a ramp against zero, whose jerk is its slope; nothing for the target itself."""
+    wave = sine(0.2)[:-1]
+    cost = metrics.lateral_cost(T[:-1], wave, 0.4 * wave)
+    assert cost["lataccel_cost"] == pytest.approx(100.0 * 0.36 / 2.0, rel=1e-6)
+    assert cost["jerk_cost"] == pytest.approx(100.0 * (0.4 * math.pi) ** 2 / 2.0, rel=1e-2)
+    assert cost["total_cost"] == pytest.approx(50.0 * cost["lataccel_cost"] + cost["jerk_cost"])
+    assert metrics.lateral_cost([0.0, 0.1, 0.2], [0.0, 0.3, 0.6], [0.0] * 3) == pytest.approx(
+        {"lataccel_cost": 15.0, "jerk_cost": 900.0, "total_cost": 1650.0}
+    )
+    assert metrics.lateral_cost([0.0, 0.1], [0.7, 0.7], [0.7, 0.7])["total_cost"] == 0.0
+    assert math.isnan(metrics.lateral_cost([0.0, 0.1], [0.7, math.nan], [0.7, 0.7])["total_cost"])
+    with pytest.raises(ValueError, match="lateral_cost: signal of shape"):
+        metrics.lateral_cost([0.0, 0.1], 0.7, [0.7, 0.7])
+
+
 def test_the_time_over_a_bound_counts_a_nan_as_over() -> None:
     t = np.arange(5) * 0.1
     assert metrics.time_over(t, [0.5, -0.51, 0.6, math.nan, 0.0], 0.5) == pytest.approx(0.3)
