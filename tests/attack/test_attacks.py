@@ -68,7 +68,7 @@ def test_a_slow_clock_that_only_speed_and_wheel_contradict_brings_nobody_off_the
     assert drive.excess() < 0.5
 
 
-@pytest.mark.parametrize(("name", "i"), [(name, i) for i, name in enumerate(LIARS) if i % 3 == i // 12])
+@pytest.mark.parametrize(("name", "i"), [(name, i) for i, name in enumerate(LIARS) if i % 6 == i // 6])
 def test_a_lie_that_agrees_with_itself_leads_nobody_further_off_than_the_panel_says(name: str, i: int) -> None:
     """At most 0.5 m for a calibrated car, 1 m for another; or else not sooner than was said when it began."""
     controller, known = ["own", *CONTROLLERS][i % 5], i % 4 < 2
@@ -105,9 +105,9 @@ def test_the_pose_of_another_drive_is_found_out_before_it_leads_anybody_off(wher
 PACE = {"mpc": 5.0, "lqr": 2.0, "pure-pursuit": 7.0, "nfq": 5.0}
 """At one speed each [m/s], as drives have the way to the onset in common."""
 CASES = [
-    (who, name, PACE[who]) for i, name in enumerate(ATTACKS) if i % 4 == i // 8 % 4 for who in [CONTROLLERS[i % 4]]
+    (who, name, PACE[who]) for i, name in enumerate(ATTACKS) if i % 8 == i // 8 % 8 for who in [CONTROLLERS[i % 4]]
 ]
-"""A quarter of the attacks, each on one of the controllers; all, at all speeds: `tests.attack.table`."""
+"""An eighth of the attacks, each on one of the controllers; all, at all speeds: `tests.attack.table`."""
 
 
 @pytest.mark.parametrize(("controller", "name", "speed"), CASES)
@@ -123,10 +123,10 @@ PORTS = ("TESLA_MODEL_3", "NISSAN_LEAF")
 
 
 @pytest.mark.parametrize(
-    ("name", "i"), [(name, i) for i, name in enumerate(ATTACKS) if i % 8 == 3 and name not in OF_A_KIT]
+    ("name", "i"), [(name, i) for i, name in enumerate(ATTACKS) if i % 16 == 3 and name not in OF_A_KIT]
 )
 def test_through_the_port_of_a_production_car_the_same_bounds_hold(name: str, i: int) -> None:
-    """An eighth of the attacks; all: `python -m tests.attack.table --ports TESLA_MODEL_3 NISSAN_LEAF`."""
+    """Some of the attacks; all: `python -m tests.attack.table --ports TESLA_MODEL_3 NISSAN_LEAF`."""
     pytest.importorskip("opendbc")
-    drive = through_port(PORTS[i // 8 % 2], watched(ATTACKS[name]), speed=SPEEDS[i % 3])
+    drive = through_port(PORTS[i // 16 % 2], watched(ATTACKS[name]), speed=SPEEDS[i % 3])
     assert drive.complaints() == []

@@ -20,6 +20,7 @@ import pytest
 
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from tests.support import programs
+from tests.support.command_lines import parsed
 from tests.support.compilers import optimising
 from tests.support.places import ROOT
 from tests.support.shell_lines import DOORS, EXAMPLE, EXAMPLES, FITTED, PAGES, Step, blocks, lines_of, steps_of, table
@@ -250,6 +251,18 @@ def test_the_table_names_only_lines_that_a_page_shows() -> None:
     shown = {line for page in PAGES for line in lines_of(page)}
     steps, reasons = table()
     assert not {*steps, *reasons} - shown
+
+
+def test_every_line_of_steerkit_as_it_is_shown_is_a_valid_command() -> None:
+    """Whatever its short form: its command, options, arguments and their kinds are there. A command that is only named
+    has no arguments."""
+    lines = {line for page in PAGES for line in lines_of(page) if line.startswith("steerkit ")}
+    whole = sorted(
+        line for line in lines if not re.search(r"[|;&<>$*]|completion|--help|^steerkit [a-z]+( [a-z]+)?$", line)
+    )
+    assert len(whole) > 90
+    for line in whole:
+        parsed(shlex.split(line)[1:])
 
 
 SHORT = {

@@ -12,9 +12,12 @@ from tests.support.places import ROOT, SUPPORT
 
 DOORS = [ROOT / "docs" / f"{name}.md" for name in ("control-engineer", "rl-researcher", "vehicle-tester")]
 """The pages for users, which are run from a wheel (test_package.py)."""
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+PAGES = list(
+    dict.fromkeys([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOORS, *sorted((ROOT / "docs").glob("**/*.md"))])
+)
+"""In this order: what a page shows too that an earlier one has shown is run but once."""
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.M | re.S)
-FITTED = ("identification",)
+FITTED = ("identification", "vehicle-tester")
 """Pages whose programs fit models to recordings, which takes longer than to optimise what drives them."""
 TABLE = SUPPORT / "shell_lines.toml"
 STUDIES = tuple(sorted({file.stem for file in (ROOT / "benchmarks" / "studies").glob("*.py")} - {"__init__"}))
