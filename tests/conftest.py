@@ -49,3 +49,11 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     if config.getoption("tx", None):
         kernel = "from steerkit.learning.nfq.rprop import library; library()"
         subprocess.Popen([sys.executable, "-c", kernel], stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+@pytest.fixture
+def without_layout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures without room made for their labels, a third of their time: tests/contract/test_pictures.py sees it."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)

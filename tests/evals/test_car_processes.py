@@ -104,20 +104,6 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any], name: str
     assert not heard[-1]["enable"]
 
 
-def test_kill_the_car_server(bench: dict[str, Any]) -> None:
-    drive(bench["socket"], seconds=1.0)
-    with CarClient(bench["socket"]) as link:
-        os.kill(bench["server"].pid, signal.SIGKILL)
-        bench["server"].wait(20.0)
-        with pytest.raises(CarLost, match="car server"):
-            link.query()
-    last = bench["log"].stat().st_size
-    recorded = recordings.read(bench["record"])
-    assert not recorded.whole
-    assert recorded.of("/can/rx")
-    assert last > 0
-
-
 def test_another_interface_of_python_can(tmp_path: Path) -> None:
     """Car, server and controller over python-can's `virtual`, in three threads; its `CarServer` is the processes' own.
 

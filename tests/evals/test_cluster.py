@@ -13,12 +13,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import benchmarks
-from benchmarks import studies
 from benchmarks.run.compare import compare
 from benchmarks.run.results import load_results
 from benchmarks.run.runner import run as carry_out
@@ -104,49 +102,15 @@ def command(port: int, *more: str) -> list[str]:
     return [*words(line, port), "--only", "stanley", "--out", "results", *more]
 
 
-SHORT = ("--quick", "--setting", "model-free", "--course", "circle", "--minutes", "0.1", "--seeds", "4", "--json")
-"""A study of four short runs."""
-
-
-def study_of(line: str, port: int) -> list[str]:
-    """The documentation's study, of seeds that are soon done instead of the fleet."""
-    return [*words(line.replace(" --fleet 243 ", " "), port), *SHORT]
-
-
-def figures_of(printed: str) -> Any:
-    """What a study printed last, without how long it took."""
-    figures = json.loads(printed.splitlines()[-1])
-    timing = ("computing", "longest_training")
-    rows = [{k: v for k, v in row.items() if not k.startswith(timing)} for row in figures.pop("outcomes")]
-    return {k: v for k, v in figures.items() if not k.startswith(timing)}, rows
-
-
 @pytest.mark.skipif(find_spec("distributed") is None, reason="comes with the extra bench")
 def test_a_cluster_as_documented_and_killed_workers(start: Start, port: int, tmp_path: Path) -> None:
-    """All is done, with the numbers of this machine, though first one and then another of three workers is killed."""
+    """All is done, with the numbers of this machine, though one of three workers is killed."""
     begin(start, port, tmp_path)
     # those that are killed are without a nanny, another process that would be killed with them
     ids = [worker(start, port, n, nanny=n == 2) for n in range(3)]
     log = tmp_path / "scheduler.log"
     until(lambda: log.read_text().count("Register worker") >= 3, "three workers")
     a_suite(start, port, tmp_path, ids[0])
-    a_study(start, port, tmp_path, ids[1])
-
-
-def a_study(start: Start, port: int, tmp_path: Path, victim: int) -> None:
-    """The same figures as on this machine, though a worker is killed when the study has begun."""
-    log = tmp_path / "scheduler.log"
-    connected = lambda: log.read_text().count("Receive client connection")  # noqa: E731
-    before = connected()
-    run = start("study", study_of(lines()["study"], port), environment())
-    until(lambda: connected() >= before + 2 or run.poll() is not None, "the one who asks, then the one who gives work")
-    time.sleep(0.5)
-    os.killpg(victim, signal.SIGKILL)
-    said = lambda: (tmp_path / "study.log").read_text()  # noqa: E731
-    assert run.wait(240.0) == 0, said()
-    here = json.dumps(studies.carry_out("learning", [*SHORT, "--processes", "1"]))
-    assert len(figures_of(said())[1]) == 4
-    assert figures_of(said()) == figures_of(here)
 
 
 def a_suite(start: Start, port: int, tmp_path: Path, victim: int) -> None:

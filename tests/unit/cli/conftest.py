@@ -9,6 +9,11 @@ import pytest
 from tests.support.command_lines import run
 
 
+@pytest.fixture(autouse=True)
+def quick(without_layout: None) -> None:
+    """Commands draw many pictures."""
+
+
 class Said(NamedTuple):
     """What a command printed."""
 

@@ -58,9 +58,6 @@ def test_a_sparse_configuration_takes_the_defaults() -> None:
 CURT = replace(SHORT.setting, fit=FitSetting(epochs=3, mirror=True, nets=1), fit_seconds=0.5)
 RUNS = {
     "carried back": Experiment(setting=replace(CURT, after_failure="reset", reset_seconds=5.0), minutes=0.5, seed=3),
-    "noise": Experiment(
-        setting=replace(CURT, retrain_every_m=4.0), scenario=Scenario.under("hard"), minutes=0.15, seed=3
-    ),
     "corrected": Experiment(
         setting=replace(CURT, retrain_every_m=2.0, safe=True, corrected_seconds=1.0),
         scenario=Scenario.under("hard"),

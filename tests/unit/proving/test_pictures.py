@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.units import degrees_of
-from steerkit.proving.manoeuvre import names
 from steerkit.proving.pictures import pictures
-from tests.unit.proving.test_page import of
+from tests.unit.proving.test_page import OF_EACH_KIND, of
 
 
-@pytest.mark.parametrize("name", names())
-def test_every_manoeuvre_is_drawn_with_one_axis_a_panel(name: str) -> None:
+@pytest.mark.parametrize("name", OF_EACH_KIND)
+def test_every_kind_is_drawn_with_one_axis_a_panel(name: str) -> None:
     made = pictures([of(name), of(name, "other")])
     assert made
     for caption, figure in made:

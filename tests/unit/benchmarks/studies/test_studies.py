@@ -70,7 +70,7 @@ KEPT = {"foreign": ("--keep", "drives.jsonl"), "safety": ("--keep", "learners.js
 """Asked to leave a file."""
 SHORTER = {"learning": ("--course", "circle"), "scoreboard": () if find_spec("sbx") else ("--agents", "default")}
 """Each net is test-driven over a whole round, which takes longer than the learning; sbx-rl is of the extra peers."""
-DRIVEN_FOR_LONG = ("throughput", "vehicle_state")
+DRIVEN_FOR_LONG = ("intervals", "throughput", "vehicle_state")
 """Studies whose loops drive for longer, in their quick forms, than it takes to optimise them."""
 
 
