@@ -3,7 +3,6 @@
 import io
 import json
 import random
-import re
 import struct
 import tracemalloc
 import zlib
@@ -118,22 +117,6 @@ def test_a_sum_of_zero_is_a_sum_like_any_other() -> None:
     data[begin + 33 : begin + 37] = bytes(4)
     data[begin + 300] ^= 1
     assert begin not in [chunk.begin for chunk in chunks_of(bytes(data))]
-
-
-@pytest.mark.parametrize("copy", [0, 1])
-def test_one_of_the_two_copies_of_the_description_is_enough(copy: int) -> None:
-    starts = [m.start() for m in re.finditer(rb'{"t": 0.0, "texts": ', small())]
-    assert len(starts) == 2
-    middle = starts[copy] + 200
-    found = recordings.parse(small()[:middle] + bytes(300) + small()[middle + 300 :])
-    assert found.metadata == recordings.parse(small()).metadata
-    assert [gap.missing for gap in found.gaps] == [0]
-
-
-def test_topics_are_known_without_the_first_chunk_that_tells_them() -> None:
-    first, second = chunks_of(small())[:2]
-    found = recordings.parse(small()[: first.begin] + small()[first.end :])
-    assert [m.topic for m in found.messages[:LINES]] == [m.topic for m in second.messages]
 
 
 @settings(max_examples=80)
