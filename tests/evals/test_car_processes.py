@@ -50,7 +50,7 @@ def bench(tmp_path: Path) -> Iterator[dict[str, Any]]:
 
 
 def drive(socket: str, *, seconds: float = 20.0, most: int = 10**9, scale: float = 1.0) -> int:
-    """Engage once, and drive with Stanley's controller, for so many engaged steps at the most; returns how many they were."""
+    """Engage once, and drive with Stanley's controller, for so many engaged steps at most; returns how many."""
     config, path = configured.loaded(CONFIG)
     modes: list[Mode] = []
     with (
