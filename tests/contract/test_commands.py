@@ -28,7 +28,7 @@ from tests.support.shell_lines import DOORS, EXAMPLE, EXAMPLES, FITTED, PAGES, S
 OTHER_PACKAGES = {"train_with_stable_baselines3.py": "stable_baselines3"}
 """What an example needs beyond the extra `dev`."""
 SHORTER = {"train_with_stable_baselines3.py": " --course circle"}
-"""What makes its drives short: a round of the circle has a tenth of the paper's length."""
+"""What makes its drives short: a round of the circle is a quarter of the paper's."""
 PATIENCE = 300.0
 """A program that takes longer than this hangs [s]; the machine may be busy."""
 
