@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -17,7 +18,7 @@ from steerkit.metrics import lateral_cost
 from steerkit.scenario import Scenario
 from steerkit.scenario.lateral import LateralTarget, lateral_loop
 
-_SEEN, _PAST = 15, 8
+_SEEN = 15
 
 
 class LateralAcceleration(gymnasium.Env[NDArray[np.float32], Any]):
@@ -31,13 +32,14 @@ class LateralAcceleration(gymnasium.Env[NDArray[np.float32], Any]):
     one drawn for each episode. Raises ValueError for others, and for an action outside [-1, 1].
     """
 
-    observation_space = spaces.Box(-10.0, 10.0, (4 + _SEEN + _PAST,), np.float32)
+    NO_COMMANDS = (0.0,) * 8
+    observation_space = spaces.Box(-10.0, 10.0, (4 + _SEEN + len(NO_COMMANDS),), np.float32)
     action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
     def __init__(self, *, scenario: Any = None, target: str | None = None, seconds: float = 60.0):
         self.scenario = scenario if isinstance(scenario, Scenario) else Scenario.under(**(scenario or {}))
         self._fixed = None if target is None else LateralTarget.read(target, self.scenario)
-        self._seconds, self._past = seconds, [0.0] * _PAST
+        self._seconds, self._past = seconds, self.NO_COMMANDS
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -46,7 +48,7 @@ class LateralAcceleration(gymnasium.Env[NDArray[np.float32], Any]):
         super().reset(seed=seed)
         draw = int(self.np_random.integers(2**31))
         self._target = self._fixed or LateralTarget.drawn(draw, seconds=self._seconds)
-        self._past, self._driven = [0.0] * _PAST, list[Any]()
+        self._past, self._driven = self.NO_COMMANDS, list[Any]()
         agent = Agent(dt=self._target.dt)
         set_ports(agent, (), LateralMpc.outputs)
         self._loop = lateral_loop(self.scenario, self._target, agent, seed=draw)
@@ -58,7 +60,7 @@ class LateralAcceleration(gymnasium.Env[NDArray[np.float32], Any]):
         ok = np.size(action) == 1 and np.isfinite(action).all() and np.abs(action).max() <= 1.0 + 1e-6
         require(ok, "LateralAcceleration.step", f"action {action!r:.60}, expected one number within [-1, 1]")
         require(len(self._driven) < len(self._target.table), "LateralAcceleration.step", "the target is over; reset()")
-        self._past = [*self._past[1:], STEER * float(np.reshape(action, -1)[0])]
+        self._past = (*self._past[1:], STEER * float(np.reshape(action, -1)[0]))
         self._state = self._loop.with_block_state(self._state, "controller", (self._past[-1],))
         for _ in range(self._loop.period):
             self._state, _ = self._loop.step(self._state)
@@ -75,7 +77,14 @@ class LateralAcceleration(gymnasium.Env[NDArray[np.float32], Any]):
         self._loop.run_phase(0, self._state.k * self._loop.dt, x, y)
         now = self._target.Y(*y[self._loop.names.index("target")])
         self._driven.append((now.a_y, now.a_y_target))
-        ahead = np.subtract(now.preview, now.preview_roll)[:_SEEN]
-        seen = (now.a_y_target - now.a_y, now.a_y, now.a_roll, now.v / 20.0 - 1.0, *ahead, *self._past)
-        clipped = np.clip(seen, -10.0, 10.0).astype(np.float32)
-        return clipped, {"a_y": float(now.a_y), "a_y_target": float(now.a_y_target)}
+        told = (now.a_y_target, now.a_y, now.a_roll, now.v, now.preview, now.preview_roll, self._past)
+        return self.seen(*told), {"a_y": float(now.a_y), "a_y_target": float(now.a_y_target)}
+
+    @staticmethod
+    def seen(
+        target: float, a_y: float, roll: float, v: float, preview: Any, preview_roll: Any, past: Sequence[float]
+    ) -> NDArray[np.float32]:
+        """The observation, for whoever drives with a trained policy elsewhere; past: the last 8 commands [m/s^2]."""
+        ahead = np.subtract(preview, preview_roll)[:_SEEN]
+        values = (target - a_y, a_y, roll, v / 20.0 - 1.0, *ahead, *past)
+        return np.clip(values, -10.0, 10.0).astype(np.float32)
