@@ -52,8 +52,6 @@ HELD_OUT = 2000
 """The first of those that all are measured on."""
 TAPS = 25
 """Samples of a fitted response."""
-PIECE = 600
-"""Samples of a piece of a lap."""
 
 
 def add_options(parser: argparse._ActionsContainer) -> None:
@@ -66,17 +64,18 @@ def add_options(parser: argparse._ActionsContainer) -> None:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Tune, fit and train; drive all after the same targets; print the table; return its figures."""
-    quick = options.quick
-    tuned_on = TUNED_ON[:1] if quick else TUNED_ON
-    drawn = [(LateralTarget.drawn(HELD_OUT + i), HELD_OUT + i) for i in range(2 if quick else options.targets)]
-    laps = [(piece, HELD_OUT + i) for i, piece in enumerate(lap_pieces())][: 1 if quick else None]
+    quick, seconds = options.quick, 8.0 if options.quick else 60.0
+    tuned_on = [(LateralTarget.drawn(seed, seconds=seconds), seed) for seed in (TUNED_ON[:1] if quick else TUNED_ON)]
+    held_out = range(HELD_OUT, HELD_OUT + (2 if quick else options.targets))
+    drawn = [(LateralTarget.drawn(seed, seconds=seconds), seed) for seed in held_out]
+    laps = [(piece, HELD_OUT + i) for i, piece in enumerate(lap_pieces(seconds))][: 1 if quick else None]
     makes: dict[str, Sequence[Block]] = {"pid": [tuned_pid(tuned_on, 2 if quick else options.pid_draws)]}
     told: dict[str, Any] = {name: lateral_controller(name, CAR) for name in MOVES}
-    response, gain = fitted([drive(LateralTarget.drawn(seed), seed, told["lqr"]) for seed in tuned_on])
+    response, gain = fitted([lateral_drive(CAR, target, told["lqr"], seed=seed) for target, seed in tuned_on])
     makes |= {name: [block] for name, block in told.items()}
     makes |= {f"{name}-learned": [replace(block, response=response, gain=gain)] for name, block in told.items()}
     if trainings := min(options.trainings, 1) if quick else options.trainings:
-        minutes = 0.5 if quick else options.lateral_minutes
+        minutes = 0.2 if quick else options.lateral_minutes
         makes["sac"] = [trained(seed, minutes) for seed in range(trainings)]
     figures: dict[str, Any] = {}
     table = Table("controller", "drawn targets", "laps", title="total_cost, mean and 95 % interval")
@@ -92,25 +91,21 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     return figures
 
 
-def drive(target: LateralTarget, seed: int, block: Block) -> Log:
-    """A drive after that target with the car of that seed."""
-    return lateral_drive(CAR, target, block, seed=seed)
-
-
 def cost(block: Block, target: LateralTarget, seed: int) -> float:
-    """What it costs."""
-    return lateral_cost_of(drive(target, seed, block))["total_cost"]
+    """Of a drive after that target, with the car of that seed."""
+    return lateral_cost_of(lateral_drive(CAR, target, block, seed=seed))["total_cost"]
 
 
-def lap_pieces() -> list[LateralTarget]:
-    """A recorded lap's lateral acceleration in pieces of 60 s, from straight ahead, within what the car can do."""
+def lap_pieces(seconds: float) -> list[LateralTarget]:
+    """A recorded lap's lateral acceleration in pieces, each from straight ahead, within what the car can do."""
     rows = LateralTarget.lap(Scenario(course="genesis", driver={"speed": "recorded"})).table.rows
-    begins = np.clip(np.arange(PIECE) / 30.0, 0.0, 1.0)
-    pieces = [rows[i : i + PIECE] for i in range(0, len(rows) - PIECE + 1, PIECE)]
+    n = round(10.0 * seconds)
+    begins = np.clip(np.arange(n) / 30.0, 0.0, 1.0)
+    pieces = [rows[i : i + n] for i in range(0, len(rows) - n + 1, n)]
     return [LateralTarget.of(np.clip(p[:, 0], -1.8, 1.8) * begins, np.maximum(p[:, 2], 8.0)) for p in pieces]
 
 
-def tuned_pid(seeds: Sequence[int], draws: int) -> Block:
+def tuned_pid(targets: Sequence[tuple[LateralTarget, int]], draws: int) -> Block:
     """The PID with the best of some drawn gains."""
     rng = np.random.default_rng(0)
     best: tuple[float, Block] | None = None
@@ -118,7 +113,7 @@ def tuned_pid(seeds: Sequence[int], draws: int) -> Block:
         ff, p, i, d = rng.uniform((0.4, 0.0, 0.0, -0.03), (0.7, 0.15, 0.2, 0.06)).tolist()
         ahead = int(rng.integers(5, 9))
         block = ChallengeController(make=_made(ff, p, i, d, ahead), name="pid")
-        total = float(np.mean([cost(block, LateralTarget.drawn(seed), seed) for seed in seeds]))
+        total = float(np.mean([cost(block, *one) for one in targets]))
         if best is None or total < best[0]:
             best = total, block
     assert best is not None

@@ -118,5 +118,5 @@ def test_unknown_names_and_blocks_are_refused() -> None:
         LateralTarget.read("drawn")
     with pytest.raises(ValueError, match=r"controller of lateral acceleration 'stanley' is not known.*valid: lqr, mpc"):
         lateral_controller("stanley", Scenario())
-    with pytest.raises(ValueError, match="has no output a_y_cmd"):
+    with pytest.raises(AttributeError, match="Stanley has no port or parameter 'a_y_cmd'"):
         lateral_loop(Scenario(), LateralTarget.drawn(1), Stanley.of(VW_PASSAT))

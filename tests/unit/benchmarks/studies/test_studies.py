@@ -52,7 +52,10 @@ KEYS = {
         "openpilot_report_samples_off"
     ),
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
-    "scoreboard": "agents_x_model_free agents_x_same_model computing_seconds good_seconds good_share",
+    "scoreboard": (
+        "agents_x_model_free agents_x_same_model computing_seconds good_seconds good_share "
+        "lat_cost lat_cost_laps lat_interval lat_interval_laps"
+    ),
     "sweep": "best compile_seconds cores drive_seconds gains seconds",
     "throughput": (
         "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_x "
@@ -68,7 +71,10 @@ KEYS = {
 """What each prints, at least."""
 KEPT = {"foreign": ("--keep", "drives.jsonl"), "safety": ("--keep", "learners.jsonl")}
 """Asked to leave a file."""
-SHORTER = {"learning": ("--course", "circle"), "scoreboard": () if find_spec("sbx") else ("--agents", "default")}
+SHORTER = {
+    "learning": ("--course", "circle"),
+    "scoreboard": () if find_spec("sbx") else ("--agents", "default", "--trainings", "0"),
+}
 """Each net is test-driven over a whole round, which takes longer than the learning; sbx-rl is of the extra peers."""
 DRIVEN_FOR_LONG = ("intervals", "throughput", "vehicle_state")
 """Studies whose loops drive for longer, in their quick forms, than it takes to optimise them."""
@@ -195,6 +201,8 @@ def sensible(name: str, f: Any) -> None:
             assert f["good_seconds"].keys() == f["good_share"].keys() == f["computing_seconds"].keys()
             assert f["agents_runs"]["default"][0]["failures"] > 0
             assert 0.0 < f["good_seconds"]["default"] <= 12.0
+            assert f["lat_cost"].keys() >= {"pid", "lqr", "mpc", "lqr-learned", "mpc-learned"}
+            assert 0.0 < f["lat_cost"]["mpc"] <= f["lat_interval"]["mpc"][1]
         case "sweep":
             assert (f["gains"], f["drive_seconds"]) == (20, 5.0)
             assert f["best"]["max_e"] < 1e-9  # the course begins straight
