@@ -79,7 +79,7 @@ def commands(bench: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any]) -> None:
-    engaged = drive(bench["socket"], seconds=2.0)
+    engaged = drive(bench["socket"], most=40)
     bench["server"].terminate()
     assert bench["server"].wait(20.0) == 0
     assert engaged > 0

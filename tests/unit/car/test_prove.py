@@ -168,16 +168,13 @@ def _fault(kind: str, target: str = "report", **more: Any) -> Callable[[ProvingW
     ("happens", "abort", "cause", "mode"),
     [
         (_fault("override"), {}, "OVERRIDE: override", Mode.OVERRIDE),
-        (_fault("torque", amount=5.0), {}, "OVERRIDE: torque", Mode.OVERRIDE),
         (_fault("drop", "pose"), {}, "FAULT: pose stale", Mode.FAULT),
-        (_fault("drop", "report"), {}, "FAULT: report stale", Mode.FAULT),
         (_fault("kit_fault"), {}, "FAULT: kit fault", Mode.FAULT),
         (lambda world: world.order(Order.DISENGAGE), {}, "STANDBY: operator: disengage", Mode.READY),
         (lambda world: setattr(world, "beats_until", world.t), {}, "FAULT: operator silent", Mode.FAULT),
         (_slower, {}, "v - 8 m/s: -0.", Mode.ENGAGED),
         (lambda world: None, {"a_y": 0.6}, "a_y: ", Mode.ENGAGED),
         (lambda world: None, {"e": 0.4}, "e: ", Mode.ENGAGED),
-        (lambda world: None, {"r": 0.08}, "r: ", Mode.ENGAGED),
     ],
 )
 def test_what_aborts_a_run(kit: CarConfig, happens: Any, abort: Any, cause: str, mode: Mode) -> None:

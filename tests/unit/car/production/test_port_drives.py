@@ -41,8 +41,12 @@ def test_an_understeering_car_is_given_the_wheel_that_it_needs_at_25_metres_a_se
     assert row["rejected"] == 0
 
 
+FLAGS = ("door", "steering fault")
+"""Told by a flag of the car's, as cruise control is: test_car_frames.py sees each."""
+
+
 @judged
-@pytest.mark.parametrize("what", [*study.FAULTS, *study.KILLED])
+@pytest.mark.parametrize("what", [what for what in (*study.FAULTS, *study.KILLED) if what not in FLAGS])
 def test_whatever_goes_wrong_nothing_asks_for_steering_soon(what: str) -> None:
     row = study.faulty(("FORD_MUSTANG_MACH_E_MK1", what, 2))
     assert row["drove"]
@@ -51,9 +55,7 @@ def test_whatever_goes_wrong_nothing_asks_for_steering_soon(what: str) -> None:
     told = {
         "driver's torque": "override",
         "brake": "brake",
-        "door": "DOOR_OPEN",
         "cruise control off": "CRUISE_OFF",
-        "steering fault": "STEERING_FAULT",
         "ignition off, bus lost": "CAN_INVALID",
         "frames frozen": "CAN_INVALID",
         "frames 0.3 s late": "CAN_INVALID",
