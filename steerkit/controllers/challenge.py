@@ -49,7 +49,7 @@ class ChallengeController(Block):
     """What it is called in errors."""
     dt: float = number(DT, "s", above=0.0, high=1.0)
     live: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
-    """The object of this drive, its last sample and answer."""
+    """The object of this drive."""
 
     @classmethod
     def load(cls, name: str) -> ChallengeController:
@@ -66,19 +66,17 @@ class ChallengeController(Block):
         return (0.0,)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        live, k = self.live, x[0]
         try:
-            if k == 0.0:  # asked more than once, as the loop settles
-                live.update(object=self.make(), k=-1.0)
-            if k != live["k"]:
-                now = SimpleNamespace(roll_lataccel=u.a_roll, v_ego=u.v, a_ego=u.a_x)
-                ahead = SimpleNamespace(**dict(zip(_AHEAD, map(list, u[5:]))))
-                live.update(k=k, answer=live["object"].update(u.a_y_target, u.a_y, now, ahead))
-            answer = np.asarray(live["answer"], dtype=float)
+            if x[0] == 0.0:  # asked more than once, as the loop settles
+                self.live["object"] = self.make()
+            now = SimpleNamespace(roll_lataccel=u.a_roll, v_ego=u.v, a_ego=u.a_x)
+            ahead = SimpleNamespace(**dict(zip(_AHEAD, map(list, u[5:]))))
+            given = self.live["object"].update(u.a_y_target, u.a_y, now, ahead)
+            answer = np.asarray(given, dtype=float)
         except (Exception, SystemExit) as error:
             raise ValueError(f"{self.name} failed at {t:.1f} s: {in_one_line(error, foreign=True)}") from error
-        given = f"answered {live['answer']!r:.60} at {t:.1f} s, expected one finite number, the steer"
-        require(answer.size == 1 and np.isfinite(answer).all(), self.name, given)
+        said = f"answered {given!r:.60} at {t:.1f} s, expected one finite number, the steer"
+        require(answer.size == 1 and np.isfinite(answer).all(), self.name, said)
         return self.Y(float(answer.reshape(-1)[0]))
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
