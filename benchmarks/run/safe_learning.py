@@ -6,21 +6,19 @@ counted in runs with the filter; those without it are for comparison, and a few 
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.run.fleet import first_good
-from benchmarks.run.kept import append_line
+from benchmarks.run.kept import done
 from benchmarks.run.sources import source
 from benchmarks.run.spread import Workers
 from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
-from steerkit._support.errors import require
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
 from steerkit.metrics.signals import largest
@@ -108,42 +106,13 @@ def one_run(job: Job) -> Learner:
     )
 
 
-def stored(file: Path) -> list[Learner]:
-    """The runs in a file that `runs` kept, in the order in which they ended; none where there is no file.
-
-    A last line that a killed study left half written is no run. Raises ValueError for a file that holds anything else.
-    """
-    if not file.exists():
-        return []
-    *whole, _ = file.read_text(encoding="utf-8").split("\n")
-    names, rows = {field.name for field in fields(Learner)}, []
-    for number, line in enumerate(whole, start=1):
-        try:
-            row = json.loads(line)
-        except ValueError:
-            row = None
-        ours = isinstance(row, dict) and set(row) == names
-        require(ours, f"{file}, line {number}", f"{line[:40]!r}, expected a run of `study safety`, as it keeps them")
-        rows.append(Learner(**row))
-    return rows
-
-
 def runs(jobs: Sequence[Job], *, those: Workers, keep: Path | None, stop_after: float) -> Iterator[Learner]:
-    """The runs of `jobs`: those that `keep` holds at once, then the others as they end, each kept as soon as it does.
+    """The runs of `jobs`, kept as `kept.done` does.
 
-    those: who computes. stop_after [s]: after so long no other is begun. Raises ValueError for a file that holds no
-    such runs.
+    those: who computes. stop_after [s]: after so long no other is begun.
     """
-    end = time.monotonic() + stop_after
-    done = {run.key: run for run in stored(keep)} if keep else {}
-    yield from [done[job.key] for job in jobs if job.key in done]
-    left = [job for job in jobs if job.key not in done]
-    if keep:
-        keep.parent.mkdir(parents=True, exist_ok=True)
-    for _, run in those.done(one_run, left, until=end):
-        if keep:
-            append_line(keep, json.dumps(asdict(run)))
-        yield run
+    for _, row in done(one_run, jobs, those, keep, time.monotonic() + stop_after, lambda text: None):
+        yield Learner(**{field.name: row[field.name] for field in fields(Learner)})
 
 
 def summarise(learners: Sequence[Learner]) -> dict[str, Any]:
