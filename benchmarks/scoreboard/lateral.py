@@ -58,8 +58,8 @@ def add_options(parser: argparse._ActionsContainer) -> None:
     """How many targets, and how long is tuned and trained."""
     parser.add_argument("--targets", type=int, default=20, help="drawn targets (default 20)")
     parser.add_argument("--pid-draws", type=int, default=60, help="gains that are tried for the PID (default 60)")
-    parser.add_argument("--lateral-minutes", type=float, default=30.0, help="driving of a training (default 30 min)")
-    parser.add_argument("--trainings", type=int, default=3, help="of SAC (default 3; 0: without)")
+    parser.add_argument("--lateral-minutes", type=float, default=15.0, help="driving of a training (default 15 min)")
+    parser.add_argument("--trainings", type=int, default=1, help="of SAC (default 1; 0: without)")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
