@@ -135,8 +135,6 @@ class ReplayLink:
         self.last: Snapshot | None = None
         self.requests: list[tuple[float, float]] = []
         """(basis, delta_sw) asked for."""
-        self.adapted: dict[int, Adapted] = {}
-        """What a controller believed of the car, by the number of requests before it."""
 
     def query(self) -> Snapshot:
         """The next recorded snapshot; raises CarLost at the recording's end."""
@@ -152,8 +150,7 @@ class ReplayLink:
         self.requests.append((self.last.t, delta_sw))
 
     def note(self, message: Adapted) -> None:
-        """Keep what a controller believes."""
-        self.adapted[len(self.requests)] = message
+        """Nothing: what a controller believes is in the recording."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

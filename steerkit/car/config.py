@@ -10,7 +10,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import Field, asdict, dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path as File
@@ -60,7 +59,7 @@ LIMITS = {
 
 
 class ConfigError(ValueError):
-    """A configuration that cannot be used, with every mistake found, one a line."""
+    """A configuration that cannot be used: a mistake in it, or all that contradicts itself, one a line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,8 +352,8 @@ def _reach(config: CarConfig, mapping: Mapping) -> tuple[float, float]:
 def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
     """The configuration in a TOML file, or the shipped one of that name.
 
-    bus: arguments of `can.Bus` that replace the file's (the simulated car's port). Raises ConfigError with all
-    mistakes, each naming the key, what stands there and what is valid.
+    bus: arguments of `can.Bus` that replace the file's (the simulated car's port). Raises ConfigError with the first
+    mistake, or with all contradictions, each naming the key, what stands there and what is valid.
     """
     path = File(file) if File(file).exists() else shipped(str(file))
     try:
@@ -370,7 +369,7 @@ def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
 
 
 class Reading:
-    """One pass over the tables of a car's file; mistakes are collected.
+    """One pass over the tables of a car's file; the first mistake raises ConfigError.
 
     where: what errors call it. texts: its own, `config.toml`, and those of files that it names. folder: where the
     others are; None: nowhere, as a recording holds them all.
@@ -378,14 +377,12 @@ class Reading:
 
     def __init__(self, where: str, data: dict[str, Any], texts: dict[str, str], folder: File | None = None):
         self.where, self.data, self.texts, self.folder = where, data, texts, folder
-        self.mistakes: list[str] = []
 
     def config(self, bus: dict[str, Any] | None) -> CarConfig:
-        """The configuration, on another bus if there is one; raises ConfigError with all mistakes."""
+        """The configuration, on another bus if there is one; raises ConfigError, with all that contradicts itself."""
         self.known("", self.data, TABLES)
-        if self.data.get("format") != FORMAT:
-            self.mistakes = [f"format = {self.data.get('format')!r}, expected {FORMAT!r} in the first line"]
-            self.end()
+        stated = self.data.get("format")
+        self.require(stated == FORMAT, f"format = {stated!r}, expected {FORMAT!r} in the first line")
         port, line = self.port()
         database = self.database()
         car, vehicle_file = self.car()
@@ -393,37 +390,29 @@ class Reading:
         gate, states, motion = self.limits(car, writer)
         limits = limits_of(port, car) if port else None
         server = self.table("server", ("listen_only", "keep_recording"))
-        made: dict[str, Any] = {
-            "bus": self.bus() if bus is None else bus,
-            "course": self.course(),
-            "writer": writer,
-            "origin_deg": self.origin(),
-            "controllers": self.controllers(),
-            **{key: self.entry("server", server, key, bool, False) for key in ("listen_only", "keep_recording")},
-            **self.kit(),
-        }
-        self.end()
         config = CarConfig(
             file=self.where,
+            bus=self.bus() if bus is None else bus,
+            course=self.course(),
             vehicle=car,
             vehicle_file=vehicle_file,
             readers=tuple(readers),
+            origin_deg=self.origin(),
+            writer=writer,
             gate=limits.within(gate) if limits else gate,
             states=states,
             motion=motion,
+            controllers=self.controllers(),
             port=port.name if port else "",
             line=line,
             port_limits=limits,
             texts=self.texts,
-            **made,
+            **{key: self.entry("server", server, key, bool, False) for key in ("listen_only", "keep_recording")},
+            **dict[str, Any](self.kit()),
         )
-        self.mistakes = audit(config)
-        self.end()
+        if mistakes := audit(config):
+            raise ConfigError("\n".join(f"{self.where}: {m}" for m in mistakes))
         return config
-
-    def end(self) -> None:
-        if self.mistakes:
-            raise ConfigError("\n".join(f"{self.where}: {m}" for m in self.mistakes))
 
     def text(self, name: str, read: Callable[[File], str]) -> str:
         """The text of a file that the configuration names; raises ValueError or OSError."""
@@ -438,17 +427,12 @@ class Reading:
         table = self.table("port", ("opendbc", "line", "channel", "channels", "interface", "bitrate"))
         if "port" not in self.data:
             return None, {}
-        try:
-            found = platforms.platform(self.entry("port", table, "opendbc", str))
-        except ValueError as error:
-            self.wrong(in_one_line(error))
-            self.end()
-            raise
+        found = self.made("", platforms.platform, self.entry("port", table, "opendbc", str))
         added = read_toml(File(__file__).parent / "production" / "port.toml", "port")
         for name, more in added.items():
             own = self.table(name)
             for key in own.keys() & more.keys() - {"dbc"}:
-                self.wrong(f"[{name}] {key}: the port of {found.name} gives it; leave it out")
+                raise self.wrong(f"[{name}] {key}: the port of {found.name} gives it; leave it out")
             both = {"dbc": [*own.get("dbc", ()), *more["dbc"]]} if "dbc" in more else more
             self.data[name] = {**own, **both}
         self.data.setdefault("vehicle", {"name": found.name.lower().replace("_", "-")})
@@ -459,31 +443,32 @@ class Reading:
         table = self.table("bus", ("interface", "channel", "bitrate", "options"))
         interface = self.entry("bus", table, "interface", str)
         channel = table.get("channel")
-        if not isinstance(channel, (str, int)) or isinstance(channel, bool):
-            self.wrong(f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number")
+        named = isinstance(channel, (str, int)) and not isinstance(channel, bool)
+        self.require(
+            named, f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number"
+        )
         options = self.entry("bus", table, "options", dict, {})
         for key, value in options.items():
-            if key in _BUS or not isinstance(value, (str, int, float)):
-                self.wrong(f"[bus] options: {key} = {value!r:.50}, expected numbers, texts, none of {', '.join(_BUS)}")
+            fits = key not in _BUS and isinstance(value, (str, int, float))
+            what = f"[bus] options: {key} = {value!r:.50}, expected numbers, texts, none of {', '.join(_BUS)}"
+            self.require(fits, what)
         bitrate = {"bitrate": self.entry("bus", table, "bitrate", int)} if "bitrate" in table else {}
-        with self.noted(""):
-            return checked({**options, "interface": interface, "channel": channel, **bitrate})
-        return {}
+        bus: dict[str, Any] = {**options, "interface": interface, "channel": channel, **bitrate}
+        return dict(self.made("", checked, bus))
 
     def controllers(self) -> tuple[str, ...]:
         names = self.entry("controllers", self.table("controllers", ("allow",)), "allow", list, [])
         for name in names:
-            if not (isinstance(name, str) and is_outside(name)):
-                self.wrong(f"[controllers] allow: {name!r}, expected names such as 'my_file.py:make'")
-        return tuple(map(str, names))
+            own = isinstance(name, str) and is_outside(name)
+            self.require(own, f"[controllers] allow: {name!r}, expected names such as 'my_file.py:make'")
+        return tuple(names)
 
     def kit(self) -> dict[str, float]:
         defaults = {"lag": 0.1, "delay": 0.0}
         table = self.table("kit", defaults)
         values = {key: self.entry("kit", table, key, float, default) for key, default in defaults.items()}
         for key, value in values.items():
-            if not 0.0 <= value <= 1.0:
-                self.wrong(f"[kit] {key} = {value:g} s, expected 0 to 1 s")
+            self.require(0.0 <= value <= 1.0, f"[kit] {key} = {value:g} s, expected 0 to 1 s")
         return values
 
     def database(self) -> Any:
@@ -493,207 +478,178 @@ class Reading:
         def beside_or_shipped(place: File) -> str:
             return read_bytes(place if place.exists() else shipped(place.name), LARGEST_TEXT).decode("cp1252")
 
+        def add(name: str) -> None:
+            database.add_dbc_string(self.text(name, beside_or_shipped))
+
         database = cantools.database.Database(strict=True)
         for name in map(str, self.entry("files", self.table("files", ("dbc",)), "dbc", list)):
-            with self.noted(f"[files] dbc: {name}: ", Exception):  # whatever the parser makes of what is no DBC
-                database.add_dbc_string(self.text(name, beside_or_shipped))
+            self.made(f"[files] dbc: {name}: ", add, name, errors=Exception)  # whatever the parser makes of it
         return database
 
     def car(self) -> tuple[Vehicle, str]:
         """The car, and the name of its vehicle file; "" for a car by its name."""
         name = self.entry("vehicle", self.table("vehicle", ("name",)), "name", str)
-        with self.noted("[vehicle] name: "):
-            if not name.endswith(".toml"):
-                return vehicle(name), ""
-            return vehicle_of(self.text(name, partial(read_text, where="vehicle")), name), name
-        return vehicle("vw-passat"), ""
+        where = "[vehicle] name: "
+        if not name.endswith(".toml"):
+            return self.made(where, vehicle, name), ""
+        text = self.made(where, self.text, name, partial(read_text, where="vehicle"))
+        return self.made(where, vehicle_of, text, name), name
 
-    def course(self) -> Path | None:
+    def course(self) -> Any:
         table = self.table("course", ("name", "file", "closed"))
-        if ("name" in table) == ("file" in table):
-            self.wrong("[course]: give either name, such as 'paper', or file, a CSV with the columns x and y")
-        if "file" not in table:
-            with self.noted("[course] name: "):
-                return course(self.entry("course", table, "name", str))
-            return None
+        one = ("name" in table) != ("file" in table)
+        self.require(one, "[course]: give either name, such as 'paper', or file, a CSV with the columns x and y")
+        if "name" in table:
+            return self.made("[course] name: ", course, self.entry("course", table, "name", str))
         name, closed = (self.entry("course", table, key, kind) for key, kind in (("file", str), ("closed", bool)))
-        with self.noted(f"[course] file = {name!r}: "):
-            text = self.text(name, partial(read_text, where="course", latin=True))
-            return Path.from_csv(name, closed=closed, text=text)
-        return None
+        where = f"[course] file = {name!r}: "
+        text = self.made(where, self.text, name, partial(read_text, where="course", latin=True))
+        return self.made(where, partial(Path.from_csv, closed=closed, text=text), name)
 
-    def limits(self, car: Vehicle, writer: CommandWriter | None) -> tuple[GateLimits, StateLimits, MotionLimits]:
+    def limits(self, car: Vehicle, writer: CommandWriter) -> tuple[GateLimits, StateLimits, MotionLimits]:
         table = self.table("limits", LIMITS)
         values: dict[str, Any] = {}
-        for key in [key for key in LIMITS if key in table]:
+        for key, value in table.items():
             limit = LIMITS[key]
             value = self.entry("limits", table, key, int if limit.type == "int" else float)
             _, low, high, _ = limit.metadata["number"]
             values[limit.name] = radians_of(value) if _is_angle(limit) else value
-            if not low <= values[limit.name] <= high:
-                least, most = (degrees_of(end) if _is_angle(limit) else end for end in (low, high))
-                self.wrong(f"[limits] {key} = {value:g}, expected {least:g} to {most:g}")
-                del values[limit.name]
+            least, most = (degrees_of(end) if _is_angle(limit) else end for end in (low, high))
+            within = low <= values[limit.name] <= high
+            self.require(within, f"[limits] {key} = {value:g}, expected {least:g} to {most:g}")
         derived = {"steer_ratio": car.steer_ratio, "wheelbase": car.wheelbase, "arm": car.l_r}
-        if writer is not None:
-            derived["quantum"] = writer.quantum
+        derived["quantum"] = writer.quantum
 
         def made(kind: Any, **more: Any) -> Any:
-            with self.noted("[limits]: "):
-                return kind(**{f.name: values[f.name] for f in fields(kind) if f.name in values}, **more)
-            return kind()
+            own = {f.name: values[f.name] for f in fields(kind) if f.name in values}
+            return self.made("[limits]: ", partial(kind, **own, **more))
 
         return made(GateLimits, **derived), made(StateLimits), made(MotionLimits)
 
     def message(self, database: Any, where: str, name: Any) -> Any:
-        there = self.one_of(name, [m.name for m in database.messages], f"[{where}] frame")
-        return database.get_message_by_name(name) if there else None
+        self.one_of(name, [m.name for m in database.messages], f"[{where}] frame")
+        return database.get_message_by_name(name)
 
     def signal(self, message: Any, where: str, name: Any) -> Any:
-        if not self.one_of(name, [s.name for s in message.signals], f"[{where}] signal of {message.name}"):
-            return None
+        self.one_of(name, [s.name for s in message.signals], f"[{where}] signal of {message.name}")
         signal = message.get_signal_by_name(name)
-        if not (SMALLEST <= abs(signal.scale) <= LARGEST and abs(signal.offset) <= LARGEST):
-            numbers = f"scale {signal.scale!s:.20}, offset {signal.offset!s:.20} in the DBC"
-            self.wrong(f"[{where}] {message.name}.{name}: {numbers}, expected {_PLAUSIBLE}")
-            return None
+        plausible = SMALLEST <= abs(signal.scale) <= LARGEST and abs(signal.offset) <= LARGEST
+        numbers = f"scale {signal.scale!s:.20}, offset {signal.offset!s:.20} in the DBC"
+        self.require(plausible, f"[{where}] {message.name}.{name}: {numbers}, expected {_PLAUSIBLE}")
         return signal
 
-    def mapping(self, where: str, quantity: str, message: Any, table: dict[str, Any]) -> Mapping | None:
+    def mapping(self, where: str, quantity: str, message: Any, table: dict[str, Any]) -> Mapping:
         signal = self.signal(message, where, table.get("signal"))
-        if signal is None:
-            return None
         unit = self.entry(where, table, "unit", str, signal.unit or "")
         scale, sign = (self.entry(where, table, key, float, 1.0) for key in ("scale", "sign"))
         offset = self.entry(where, table, "offset", float, 0.0)
         valid = [*FACTORS.get(DIMENSION.get(quantity, ""), ("", "1"))]
-        if unit not in valid:
-            self.wrong(f"[{where}] unit = {unit!r} for {quantity}, expected one of {', '.join(map(repr, valid))}")
-            return None
-        if sign not in (1.0, -1.0):
-            self.wrong(f"[{where}] sign = {sign:g}, expected 1 or -1")
-        if not (SMALLEST <= scale <= LARGEST and abs(offset) <= LARGEST):
-            self.wrong(f"[{where}] scale = {scale}, offset = {offset}, expected scale > 0, {_PLAUSIBLE}")
-            return None
+        expected = f"expected one of {', '.join(map(repr, valid))}"
+        self.require(unit in valid, f"[{where}] unit = {unit!r} for {quantity}, {expected}")
+        self.require(sign in (1.0, -1.0), f"[{where}] sign = {sign:g}, expected 1 or -1")
+        plausible = SMALLEST <= scale <= LARGEST and abs(offset) <= LARGEST
+        what = f"[{where}] scale = {scale}, offset = {offset}, expected scale > 0, {_PLAUSIBLE}"
+        self.require(plausible, what)
         return Mapping(frame=message.name, signal=signal.name, unit=unit, scale=scale, sign=sign, offset=offset)
 
     def reading(self, database: Any) -> list[FrameReader]:
         table = self.table("read", (*_REPORT, *(p for p in _POSE if p not in ("lat", "lon")), "faults", "gnss"))
         gnss = self.table("read.gnss", ("lat", "lon", "origin_deg"), inside=table)
         entries = {k: v for k, v in table.items() if k not in ("faults", "gnss")}
-        if gnss and ({"x", "y"} & entries.keys()):
-            self.wrong("[read]: both x, y and gnss, expected one of them")
+        both = bool(gnss) and bool({"x", "y"} & entries.keys())
+        self.require(not both, "[read]: both x, y and gnss, expected one of them")
         entries |= {k: v for k, v in gnss.items() if k in ("lat", "lon")}
         for name in (*NEEDED, *(("lat", "lon") if gnss else ("x", "y"))):
-            if name not in entries:
-                self.wrong(f"[read] {name}: missing, expected {{ frame = ..., signal = ... }}")
+            self.require(name in entries, f"[read] {name}: missing, expected {{ frame = ..., signal = ... }}")
         by_frame: dict[str, dict[str, Mapping]] = {}
         for name, entry in entries.items():
             where = f"read.{name}"
-            if not isinstance(entry, dict):
-                self.wrong(f"[{where}] = {entry!r}, expected {{ frame = ..., signal = ... }}")
-                continue
+            shaped = isinstance(entry, dict)
+            self.require(shaped, f"[{where}] = {entry!r}, expected {{ frame = ..., signal = ... }}")
             self.known(where, entry, ("frame", "signal", "unit", "scale", "sign", "offset"))
             message = self.message(database, where, entry.get("frame"))
-            mapping = self.mapping(where, name, message, entry) if message is not None else None
-            if mapping is not None:
-                by_frame.setdefault(mapping.frame, {})[name] = mapping
-        self.faults(database, table, by_frame)
+            by_frame.setdefault(message.name, {})[name] = self.mapping(where, name, message, entry)
+        faults = self.table("read.faults", ("frame", "signals"), inside=table)
+        self.require(faults, "[read.faults]: missing, expected the frame and the signals that must be 0")
+        message = self.message(database, "read.faults", faults.get("frame"))
+        for flag in self.entry("read.faults", faults, "signals", list):
+            self.signal(message, "read.faults", flag)
+            by_frame.setdefault(message.name, {})[f"fault:{flag}"] = Mapping(frame=message.name, signal=flag)
         self.known("protect", self.table("protect"), by_frame)
         return [self.reader(database, name, mappings) for name, mappings in by_frame.items()]
 
-    def faults(self, database: Any, table: dict[str, Any], by_frame: dict[str, dict[str, Mapping]]) -> None:
-        faults = self.table("read.faults", ("frame", "signals"), inside=table)
-        if not faults:
-            self.wrong("[read.faults]: missing, expected the frame and the signals that must be 0")
-            return
-        message = self.message(database, "read.faults", faults.get("frame"))
-        for flag in self.entry("read.faults", faults, "signals", list) if message is not None else ():
-            if self.signal(message, "read.faults", flag) is not None:
-                by_frame.setdefault(message.name, {})[f"fault:{flag}"] = Mapping(frame=message.name, signal=flag)
-
     def reader(self, database: Any, name: str, mappings: dict[str, Mapping]) -> FrameReader:
         message, where = database.get_message_by_name(name), f"protect.{name}"
-        table = self.table("protect").get(name)
-        if not isinstance(table, dict):
-            self.wrong(
-                f"[protect] {name} = {table!r}, expected {{ counter = ..., crc = ... }}, or, for a frame that has "
-                "neither, { period = ... }: the time between two of them [s], to notice a second sender"
-            )
-            return FrameReader(message, mappings)
+        table: Any = self.table("protect").get(name)
+        self.require(
+            isinstance(table, dict),
+            f"[protect] {name} = {table!r}, expected {{ counter = ..., crc = ... }}, or, for a frame that has "
+            "neither, { period = ... }: the time between two of them [s], to notice a second sender",
+        )
         self.known(where, table, ("counter", "crc", "period"))
         guard = self.named(message, where, table, ("counter", "crc"))
-        if guard["counter"] and message.get_signal_by_name(guard["counter"]).length < 3:
-            self.wrong(f"[{where}] counter = {guard['counter']!r} counts to less than {2 * MAX_JUMP}, too few")
+        long = not guard["counter"] or message.get_signal_by_name(guard["counter"]).length >= 3
+        self.require(long, f"[{where}] counter = {guard['counter']!r} counts to less than {2 * MAX_JUMP}, too few")
         return FrameReader(message, mappings, **guard, period=self.entry(where, table, "period", float, 0.0))
 
     def named(self, message: Any, where: str, table: dict[str, Any], roles: Iterable[str]) -> dict[str, str]:
         """The signals of these roles, "" where there is none, each such that it can have its role."""
         names = dict.fromkeys(roles, "")
-        for role in names:
-            signal = self.signal(message, f"{where}.{role}", table[role]) if table.get(role) else None
-            if signal is None:
-                continue
+        for role in [role for role in names if table.get(role)]:
+            signal = self.signal(message, f"{where}.{role}", table[role])
             names[role] = signal.name
             what = f"[{where}] {role} = {signal.name!r}"
             first = 0 if signal.byte_order == "little_endian" else 7
-            if role == "crc" and (signal.length != 8 or signal.start % 8 != first):
-                self.wrong(f"{what} does not fill one byte, as a CRC-8 must")
-            if role == "counter" and (signal.scale, signal.offset) != (1, 0):
-                steps = f"in steps of {signal.scale:g} from {signal.offset:g}"
-                self.wrong(f"{what} counts {steps}, expected 1 from 0")
-            if role in ("enable", "clear", "alert") and signal.length != 1:
-                self.wrong(f"{what} has more than one bit")
+            byte = role != "crc" or (signal.length == 8 and signal.start % 8 == first)
+            self.require(byte, f"{what} does not fill one byte, as a CRC-8 must")
+            plain = role != "counter" or (signal.scale, signal.offset) == (1, 0)
+            steps = f"in steps of {signal.scale:g} from {signal.offset:g}"
+            self.require(plain, f"{what} counts {steps}, expected 1 from 0")
+            self.require(role in ("crc", "counter") or signal.length == 1, f"{what} has more than one bit")
         return names
 
     def origin(self) -> tuple[float, float] | None:
         gnss = self.table("read.gnss", inside=self.table("read"))
-        origin = gnss.get("origin_deg")
         if not gnss:
             return None
+        origin: Any = gnss.get("origin_deg")
         numbers = isinstance(origin, list) and len(origin) == 2 and all(isinstance(o, (int, float)) for o in origin)
-        if not numbers or not (abs(origin[0]) < 90.0 and abs(origin[1]) <= 180.0):  # type: ignore[index]
-            self.wrong(f"[read.gnss] origin_deg = {origin!r}, expected [latitude, longitude] in degrees")
-            return None
-        return float(origin[0]), float(origin[1])  # type: ignore[index]
+        on_earth = numbers and abs(origin[0]) < 90.0 and abs(origin[1]) <= 180.0
+        self.require(on_earth, f"[read.gnss] origin_deg = {origin!r}, expected [latitude, longitude] in degrees")
+        return float(origin[0]), float(origin[1])
 
-    def writing(self, database: Any) -> CommandWriter | None:
+    def writing(self, database: Any) -> CommandWriter:
         roles = ("enable", "clear", "alert", "counter", "crc")
         table = self.table("write", ("frame", "angle", "fixed", *roles))
         message = self.message(database, "write", table.get("frame"))
         angle = self.table("write.angle", ("signal", "unit", "scale", "sign"), inside=table)
-        if message is None:
-            return None
         mapping = self.mapping("write.angle", "delta_sw", message, angle)
-        if "enable" not in table:
-            self.wrong("[write] enable: missing, expected the name of the signal that is 1 while steering")
+        enable = "[write] enable: missing, expected the name of the signal that is 1 while steering"
+        self.require("enable" in table, enable)
         names = self.named(message, "write", table, roles)
         fixed = self.table("write.fixed", inside=table)
         for name, value in fixed.items():
-            signal = self.signal(message, "write.fixed", name)
-            if signal is not None and not (type(value) is int and 0 <= value < 1 << signal.length):
-                self.wrong(f"[write.fixed] {name} = {value!r}, expected a whole number of {signal.length} bits")
-        if mapping is None:
-            return None
+            bits = self.signal(message, "write.fixed", name).length
+            fits = type(value) is int and 0 <= value < 1 << bits
+            self.require(fits, f"[write.fixed] {name} = {value!r}, expected a whole number of {bits} bits")
         return CommandWriter(message, mapping, **names, fixed=tuple(fixed.items()))
 
-    def wrong(self, what: str) -> None:
-        self.mistakes.append(what)
+    def wrong(self, what: str) -> ConfigError:
+        return ConfigError(f"{self.where}: {what}")
 
-    @contextmanager
-    def noted(self, where: str, *more: type[Exception]) -> Iterator[None]:
-        """What is raised inside is a mistake, and what follows is read too."""
-        caught: tuple[type[Exception], ...] = (ValueError, OSError, *more)
+    def require(self, ok: Any, what: str) -> None:
+        if not ok:
+            raise self.wrong(what)
+
+    def made(self, where: str, make: Callable[..., Any], *given: Any, errors: Any = (ValueError, OSError)) -> Any:
+        """What `make` makes of these; what it raises is a mistake of the file."""
         try:
-            yield
-        except caught as error:
-            self.wrong(f"{where}{in_one_line(error)}")
+            return make(*given)
+        except errors as error:
+            raise self.wrong(f"{where}{in_one_line(error)}") from error
 
-    def one_of(self, name: Any, valid: Iterable[str], what: str) -> bool:
-        """Is the name one of these? If not, that is a mistake."""
-        with self.noted(""):
-            return bool(known(str(name), valid, what))
-        return False
+    def one_of(self, name: Any, valid: Iterable[str], what: str) -> None:
+        self.made("", known, str(name), valid, what)
 
     def known(self, where: str, table: dict[str, Any], valid: Iterable[str]) -> None:
         for key in table:
@@ -702,23 +658,18 @@ class Reading:
     def table(
         self, name: str, valid: Iterable[str] | None = None, inside: dict[str, Any] | None = None
     ) -> dict[str, Any]:
-        table = (self.data if inside is None else inside).get(name.split(".")[-1], {})
-        if not isinstance(table, dict):
-            self.wrong(f"{name} = {table!r}, expected a table [{name}]")
-            return {}
+        table: Any = (self.data if inside is None else inside).get(name.split(".")[-1], {})
+        self.require(isinstance(table, dict), f"{name} = {table!r}, expected a table [{name}]")
         if valid is not None:
             self.known(name, table, valid)
-        return table
+        return dict(table)
 
     def entry(self, where: str, table: dict[str, Any], key: str, kind: type, default: Any = None) -> Any:
         value = table.get(key, default)
-        if value is None:
-            self.wrong(f"[{where}] {key}: missing, expected {_KINDS[kind]}")
-            return kind()
+        self.require(value is not None, f"[{where}] {key}: missing, expected {_KINDS[kind]}")
         whole = type(value) is int and abs(value) < 1 << 63  # TOML knows no larger ones
-        if not (whole if kind is int else isinstance(value, kind) or (kind is float and whole)):
-            self.wrong(f"[{where}] {key} = {value!r}, expected {_KINDS[kind]}")
-            return kind()
+        fits = whole if kind is int else isinstance(value, kind) or (kind is float and whole)
+        self.require(fits, f"[{where}] {key} = {value!r}, expected {_KINDS[kind]}")
         return float(value) if kind is float else value
 
 

@@ -31,9 +31,6 @@ from steerkit.car.server import CarServer
 from steerkit.car.simulated import Fault, SimulatedCar
 from steerkit.diagram.realtime import preferred
 
-OF = "session: "
-"""How the first line of a car server's log begins, which names its session."""
-
 
 def default_socket() -> str:
     """Where clients look for the car server by default."""
@@ -85,7 +82,7 @@ def last_line(log: str) -> str:
     if not os.path.isfile(log):
         return ""
     lines = FilePath(log).read_text(encoding="utf-8", errors="replace").split("\n")
-    said = next((line for line in reversed(lines) if line and not line.startswith(OF)), "it said nothing")
+    said = next((line for line in reversed(lines) if line), "it said nothing")
     return f"{said} (log: {log})"
 
 

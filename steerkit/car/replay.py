@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
@@ -21,8 +21,8 @@ from steerkit.car import loop as loops
 from steerkit.car.client import CarLost, ReplayLink
 from steerkit.car.config import CarConfig
 from steerkit.car.estimates import CarEstimators, message_of
-from steerkit.car.loop import Follow, Steers, filtered_in
-from steerkit.car.protocol import Adapted, Estimates, Filtered, Hello, Remark, Request, Snapshot, decode, encode
+from steerkit.car.loop import Follow, Steers
+from steerkit.car.protocol import Estimates, Filtered, Hello, Remark, Request, Snapshot, decode, encode
 from steerkit.car.recording import Recorded
 from steerkit.car.state_machine import Mode
 from steerkit.controllers.fail_safe import LATE
@@ -47,9 +47,6 @@ class Drive:
     """The snapshot that each request was computed from; None where it is lost."""
     estimates: list[tuple[int, Estimates]] = field(default_factory=list)
     """What was said to be found of the car, each with the number of requests before it."""
-
-    adapted: dict[int, Adapted] = field(default_factory=dict)
-    """What a controller believed of the car, by the number of requests before it."""
     filtered: list[Filtered] = field(default_factory=list)
     """What the safety filter was said to have done, request by request."""
 
@@ -79,8 +76,6 @@ def drives(recorded: Recorded) -> Iterator[Drive]:
                     drive.samples.append(last if last is not None and last.t == asked.basis else None)
                 case Estimates() as found if values["link"] == link:
                     drive.estimates.append((len(drive.requests), found))
-                case Adapted() as adapted if values["link"] == link:
-                    drive.adapted[len(drive.requests)] = adapted
                 case Filtered() as did if values["link"] == link:
                     drive.filtered.append(did)
                 case Remark(text=text) if values["link"] == link:
@@ -149,8 +144,7 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
     """How many of a drive's requests come out bit for bit the same when its controllers see the recorded snapshots.
 
     A solution that came too late in the drive comes in time here: its request, and a few after it, then differ. A
-    safety filter that was late is late here too. What it is said to have done counts as part of its request, and so
-    does what a controller that adapts believed of the car.
+    safety filter that was late is late here too.
     controller: name of another one to put in their place, throughout. run: see `Nets`. Raises ValueError when the
     recording does not name who steered, or that controller is gone.
     """
@@ -163,14 +157,13 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
     now = nets.follow(remarks.pop(0)[1])
     follow = Follow(link=link, resting=now.resting, driving=now.driving)
     live = realtime.Run(follow.resting, follow.resting.init(), realtime.Timing(period=now.driving.dt))
-    did: list[Filtered] = []
+    filtered = iter(drive.filtered)
     try:
         while True:
-            nets.late = len(did) < len(drive.filtered) and drive.filtered[len(did)].reason == LATE
+            did = next(filtered, None) if "safety" in live.loop.blocks else None
+            nets.late = did is not None and did.reason == LATE
             live.loop.advance(live.k, live.x, live.y)
             live.k += 1
-            if "safety" in live.loop.blocks:
-                did.append(filtered_in(live))
             follow.begin(live)
             while remarks and remarks[0][0] <= link.count:
                 steers = remarks.pop(0)[1]
@@ -179,22 +172,7 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
                     follow.exchange(live, driving)
             follow.choose(live)
     except CarLost:
-        filtered, adapted = ([], {}) if controller else (drive.filtered, drive.adapted)
-        recorded = _said(drive.requests, filtered, adapted)
-        again = _said(link.requests, did[: len(filtered)], {n: link.adapted[n] for n in adapted if n in link.adapted})
-        return sum(one == other for one, other in zip(recorded, again))
-
-
-def _said(
-    requests: Sequence[tuple[float, float]], filtered: Sequence[Filtered], adapted: Mapping[int, Adapted]
-) -> list[list[bytes]]:
-    """What was said with each request, as bytes: a NaN, asked for where a report is missing, equals itself."""
-    said = [[encode(Request(*asked, 0))] for asked in requests]
-    for packets, did in zip(said, filtered):
-        packets.append(encode(did))
-    for number, believed in adapted.items():
-        said[number - 1].append(encode(believed))
-    return said
+        return sum(repr(one) == repr(other) for one, other in zip(drive.requests, link.requests))  # NaN is NaN again
 
 
 def replayed_estimates(drive: Drive, config: CarConfig) -> tuple[CarEstimators, int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import itertools
 import os
 import signal
@@ -19,8 +18,7 @@ from pathlib import Path as FilePath
 from typing import Any, TextIO
 
 from steerkit._support.clock import Clock
-from steerkit._support.errors import known, require
-from steerkit._support.files import read_bytes
+from steerkit._support.errors import known
 from steerkit.car import loop as loops
 from steerkit.car import processes
 from steerkit.car.client import CarClient, CarLost
@@ -29,11 +27,9 @@ from steerkit.car.estimates import Watched
 from steerkit.car.learner import CarLearner
 from steerkit.car.loop import adapted_in, filtered_in
 from steerkit.car.panel import Panel
-from steerkit.car.processes import OF
 from steerkit.car.protocol import Adapted, Filtered, digest
 from steerkit.car.state_machine import Order
 from steerkit.diagram.realtime import Run, Timing, preferred, run
-from steerkit.learning.rundir import this_process
 from steerkit.learning.settings import Setting
 from steerkit.scenario.catalogue import AUTO, RECOVERIES
 from steerkit.task import DT
@@ -127,7 +123,7 @@ def session(options: Options) -> Iterator[Session]:
             here = Session(options, socket, channel)
             here.signals = signals
             if options.simulated or not processes.answers(socket):
-                text = stack.enter_context(_claimed(place := _new_recording(options.recording)))
+                place, text = stack.enter_context(_new_recording(options.recording))
                 here.recording, log = str(place), text.name
                 how: dict[str, Any] = {"recording": here.recording, "channel": channel, "log": text}
                 how |= {"time_scale": options.time_scale, "realtime": options.realtime}
@@ -188,37 +184,27 @@ def _ended_in_order() -> Iterator[list[str]]:
             signal.signal(number, handler)
 
 
-def _new_recording(recording: str) -> FilePath:
-    """A new file to record to, in a folder that is made; without a name, called by the time, numbered in a second."""
-    now = f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}"
-    free = (place for n in itertools.count(1) if not (place := FilePath(f"{now}{f'-{n}' * (n > 1)}.mcap")).exists())
-    place = FilePath(recording) if recording else next(free)
-    if place.exists():
-        raise ValueError(f"--recording {place} exists already, and recordings are not overwritten; choose another name")
-    log = place.with_suffix(".log")
-    own = log != place and (not log.exists() or read_bytes(log)[: len(OF)] in (b"", OF.encode()))
-    require(own, f"--recording {place}", f"its log would be {log}, which is something else; choose another name")
-    place.parent.mkdir(parents=True, exist_ok=True)
-    return place
-
-
 @contextlib.contextmanager
-def _claimed(place: FilePath) -> Iterator[TextIO]:
-    """The car server's log beside a new recording, open to write to; its first line says whose both are.
+def _new_recording(recording: str) -> Iterator[tuple[FilePath, TextIO]]:
+    """A new file to record to and, open, the car server's log beside it, in a folder that is made.
 
-    Raises ValueError while another session has that name, naming its process. The lock on the log is shared with the
-    car server that writes to it, and ends with the last of them, however they end.
+    Without a name they are called by the time, numbered in a second. Raises ValueError where one of them is there: the
+    log is made at once, so that no two sessions have one name.
     """
-    with place.with_suffix(".log").open("a+", encoding="utf-8") as log:
-        try:
-            fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as why:
-            log.seek(0)
-            whose = log.readline().strip().removeprefix(OF) or "another process"
-            raise ValueError(f"--recording {place} is being written by {whose}; choose another name") from why
-        log.truncate(0)
-        print(f"{OF}{this_process()}", file=log, flush=True)
-        yield log
+    now = f"runs/car-{time.strftime('%Y%m%d-%H%M%S')}"
+    given = [recording] if recording else (f"{now}{f'-{n}' * (n > 1)}.mcap" for n in itertools.count(1))
+    for place in map(FilePath, given):
+        log = place.with_suffix(".log")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(FileExistsError):
+            if not place.exists() and log != place:
+                text = log.open("x", encoding="utf-8")
+                break
+    else:
+        there = f"it or its log, {log}, exists already, and recordings are not overwritten; choose another name"
+        raise ValueError(f"--recording {place}: {there}")
+    with text:
+        yield place, text
 
 
 def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,8 +13,7 @@ from rich.table import Table
 
 from steerkit._support.console import console
 from steerkit._support.errors import in_one_line, require
-from steerkit._support.files import write_text
-from steerkit._support.plugins import fingerprint, is_outside
+from steerkit._support.plugins import is_outside
 from steerkit.car import loop as loops
 from steerkit.car import session as car_session
 from steerkit.cli.options import (
@@ -106,8 +104,7 @@ def drive(
     asked = [_learned(where, options.seed) if one == "nfq" else one for one in asked]
     require(len(set(asked)) == len(asked), "drive", f"a controller stands twice in {', '.join(asked)}")
     who = "+".join(map(_file_name, asked))
-    what = _described(asked, scenario, rounds=rounds, seed=options.seed)
-    place = out or _place_of_its_own(Path("runs") / f"drive-{who}-{where}-seed{options.seed}", what)
+    place = out or _place_of_its_own(Path("runs") / f"drive-{who}-{where}-seed{options.seed}")
     console.stderr = options.as_json
     require(len(asked) == 1 or animate is None, "--animate", "films one controller; name one")
     with streamed(stream, pace=pace) as each:
@@ -145,7 +142,6 @@ def driven(
     else:
         picture = rounds_driven(logs, title=f"on {scenario.course.name}")
     save(picture, place / "drive.png")
-    write_text(place / NOTE, json.dumps(_described(names, scenario, rounds=rounds, seed=seed), indent=1))
     console.print(evaluate.comparison(f"{rounds or scenario.course.rounds:g} round(s) of {scenario.course.name}", logs))
     if not quiet:
         if one and scenario.path().origin_deg:
@@ -186,10 +182,6 @@ def _drive(name: str, scenario: Scenario, **how: Any) -> Log:
         raise ValueError(f"controller '{name}' failed: {in_one_line(error, foreign=True)}") from error
 
 
-NOTE = "drive.json"
-"""The file beside a drive's log that says what was driven."""
-
-
 def _is_run(name: str) -> bool:
     return name not in CONTROLLERS and Path(name).is_dir()
 
@@ -199,29 +191,10 @@ def _file_name(name: str) -> str:
     return Path(name).name.replace(":", "-")
 
 
-def _described(names: Sequence[str], scenario: Scenario, *, rounds: float | None, seed: int) -> dict[str, Any]:
-    """What distinguishes one test drive from another: controllers, scenario, rounds and seed; as JSON has it."""
-
-    def version(name: str) -> Any:
-        if is_outside(name):
-            return fingerprint(name, "controller")
-        if not _is_run(name):
-            return None
-        return rundir.document(Path(name))["counts"]["updates"]
-
-    what = {"controllers": {name: version(name) for name in names}, "scenario": asdict(scenario)}
-    return dict(json.loads(json.dumps({**what, "rounds": rounds, "seed": seed}, default=str)))
-
-
-def _place_of_its_own(place: Path, what: dict[str, Any]) -> Path:
-    """`place`, or `place`-2 and so on where that holds another drive: none is written over by a different one."""
-
-    def free(place: Path) -> bool:
-        note = place / NOTE
-        return not place.exists() or (note.is_file() and json.loads(note.read_text(encoding="utf-8")) == what)
-
+def _place_of_its_own(place: Path) -> Path:
+    """`place`, or `place`-2 and so on where that is there: no drive is written over."""
     others = (place.with_name(f"{place.name}-{number}") for number in itertools.count(2))
-    return next(filter(free, itertools.chain([place], others)))
+    return next(free for free in itertools.chain([place], others) if not free.exists())
 
 
 def _learned(where: str, seed: int) -> str:

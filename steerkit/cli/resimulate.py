@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from steerkit._support.errors import require
 from steerkit.cli import WORDS
 from steerkit.cli.log import Columns, Map, column_map
 from steerkit.cli.options import Machine, Picture, Quiet, Report
@@ -19,7 +17,6 @@ from steerkit.identification import identify
 from steerkit.logs import read_drive
 from steerkit.logs import resimulate as again
 from steerkit.plants.steering_actuator import SteeringActuator, steering_of
-from steerkit.plots.animation import film_writer
 from steerkit.plots.style import save
 from steerkit.vehicles import vehicle as vehicle_named
 
@@ -32,10 +29,6 @@ def resimulate(
     column: Columns = None,
     plot: Picture = None,
     report: Report = None,
-    film: Annotated[
-        Path | None, typer.Option(help="Film to write, of one controller: .gif, or .mp4 with ffmpeg.")
-    ] = None,
-    film_lasts: Annotated[float, typer.Option(help="Length of the film in s, 1 to 120.")] = 10.0,
     quiet: Quiet = False,
     as_json: Machine = False,
 ) -> None:
@@ -45,10 +38,6 @@ def resimulate(
     identified from the drive. Compared where it was recorded at 3 m/s or faster, over 20 samples a second.
     """
     names = controller or ["mpc"]
-    if film is not None:  # before a long drive
-        require(len(names) == 1, f"--film {film}", f"shows one controller, not {', '.join(names)}")
-        require(1.0 <= film_lasts <= 120.0, "--film-lasts", f"{film_lasts:g} [s], expected 1 to 120")
-        film_writer(film)
     drive = read_drive(recording, column_map(columns, column))
     console = Console(stderr=as_json, record=True)
     console = console if console.is_terminal else Console(stderr=as_json, record=True, width=110)
@@ -68,8 +57,6 @@ def resimulate(
         verdict = [one.verdict() for one in driven]
         write_page(report, console, f"{drive.name}, driven again", verdict, [again.compared(*driven)])
         console.print(f"report: {report}", soft_wrap=True)
-    if film is not None:
-        console.print(f"film: {again.film(driven[0], film, lasts=film_lasts, progress=not quiet)}", soft_wrap=True)
 
 
 def _car(file: str, drive: Any) -> tuple[Any, Any, str]:

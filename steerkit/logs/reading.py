@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -16,79 +15,13 @@ from steerkit._support.errors import require
 from steerkit._support.files import LARGEST, opened, refuse_workbook
 from steerkit._support.quantities import place
 from steerkit.logs import can_frames, ros, tables
-from steerkit.logs.channels import Array, Channel, Column, ColumnMap, Table, is_command, unit_of
-from steerkit.logs.drive import ODD, Drive, aligned, in_metres, in_order, odd_values
+from steerkit.logs.channels import Channel, Column, ColumnMap, Table, is_command
+from steerkit.logs.drive import ODD, Drive, aligned, in_metres, odd_values
 
-LONGEST = 0.5
-"""Largest lag that is looked for [s]."""
-FINE = 0.01
-"""Clock on which two channels are compared [s]."""
-AGREE = 0.7
-"""From this correlation on an axis of a gyro is the one that goes with the steering."""
 _DAY = 86400.0
 """[s]"""
 _SPARSE = 0.75
 """A column of a table that is empty in more rows than these leave has rows of its own."""
-_LEAST = 5.0
-"""Shortest time that both have to have been recorded [s]."""
-
-
-def yaw_axis(used: ColumnMap, channels: Mapping[str, Channel], notes: list[str]) -> ColumnMap:
-    """The map with that axis of a gyro, and that sign, which goes with speed times steering angle.
-
-    A telephone or a logger lies in the car as it likes. Nothing is changed where no axis goes with it clearly.
-    """
-    part = re.fullmatch(r"(.*(?:gyro_|gyr_|angular_velocity[._]))[xyz](.*)", used.columns["r"].name)
-    axes = [f"{part[1]}{axis}{part[2]}" for axis in "xyz"] if part else []
-    axes = [axis for axis in axes if axis in channels]
-    if len(axes) < 2:
-        return used
-    angle = used.columns.get("delta_sw") or used.columns["delta"]
-    wheel, v = channels[angle.name], channels[used.columns["v"].name]
-    steered = np.sign(angle.scale) * wheel.values * np.interp(wheel.t, *in_order(v.t, v.values))
-    try:
-        found = {axis: correlation(wheel.t, steered, channels[axis].t, channels[axis].values) for axis in axes}
-    except ValueError:
-        return used
-    best = max(axes, key=lambda axis: abs(found[axis]))
-    if abs(found[best]) < AGREE:
-        return used
-    told = ", ".join(f"{axis} {found[axis]:.2f}" for axis in axes)
-    notes.append(f"r is the axis of the gyro that goes with speed times steering angle, + = left; correlations: {told}")
-    sign = 1.0 if found[best] > 0.0 else -1.0
-    column = replace(used.columns["r"], name=best, scale=sign, unit=unit_of("r", channels[best]))
-    return ColumnMap({**used.columns, "r": column})
-
-
-def correlation(t: Array, reference: Array, t_other: Array, other: Array) -> float:
-    """How far `other` goes with `reference`, both over their own times [s], at the lag within 0.5 s where it does most.
-
-    From -1 to 1. NaN and gaps are left out. Raises ValueError for less than 5 s in common.
-    """
-    (t, reference), (t_other, other) = (in_order(*pair) for pair in ((t, reference), (t_other, other)))
-    both = len(t) and len(t_other)
-    begin, end = (max(t[0], t_other[0]) + LONGEST, min(t[-1], t_other[-1]) - LONGEST) if both else (0.0, 0.0)
-    require(
-        end - begin >= _LEAST, "correlation", f"{max(end - begin, 0.0):.1f} s in common, expected {_LEAST:g} or more"
-    )
-    clock = np.arange(begin, end, FINE)
-    base = _smooth(np.interp(clock, t, reference))
-    base -= base.mean()
-
-    def at(lag: float) -> float:
-        values = _smooth(np.interp(clock + lag, t_other, other))
-        spread = float(np.std(base) * np.std(values))
-        return float(np.mean(base * values)) / spread if spread > 0.0 else 0.0
-
-    return max((at(lag) for lag in np.arange(-LONGEST, LONGEST + 0.5 * FINE, FINE)), key=abs)
-
-
-def _smooth(values: Array) -> Array:
-    """The mean over 0.2 s: two sensors of one motion have other noise and other resolution."""
-    width = round(0.2 / FINE)
-    return np.convolve(values, np.full(width, 1.0 / width), "valid")
-
-
 _DRIVES = Path(__file__).parent / "drives"
 _SHIPPED = {"genesis": _DRIVES / "genesis.csv.gz", "genesis-rfs": _DRIVES / "genesis_rfs.csv.gz"}
 
@@ -185,11 +118,8 @@ def drive_of(
     where = log.where
     used = columns.with_guesses(log.channels, where=where)
     clock = columns.columns.get("t")
-    notes = list[str]()
-    if "r" in used.columns and "r" not in columns.columns:
-        used = yaw_axis(used, log.channels, notes)
     read = f"read {', '.join(([f't = {clock.name}'] if clock else []) + [used.text()])}"
-    notes = [read, *log.notes, *notes]
+    notes = [read, *log.notes]
     values = {quantity: c.in_si(quantity, log.channels[c.name].values, where) for quantity, c in used.columns.items()}
     times = {quantity: log.channels[column.name].t for quantity, column in used.columns.items()}
     name, digest = log.name, log.digest

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import cycle
-from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -247,12 +246,3 @@ def compared(*driven: Resimulated) -> Any:
         a_y.set_ylabel("a_y [m/s^2]")
         a_y.set_xlabel("t [s]")
     return figure
-
-
-def film(again: Resimulated, file: str | FilePath, *, lasts: float = 10.0, progress: bool = False) -> FilePath:
-    """The controller's car on the way that was driven, with e beside it, as .gif or .mp4; see `Log.animate`.
-
-    lasts [s]: the film, or less where the drive took less.
-    """
-    speed = max(1.0, float(again.log.t[-1]) / lasts)
-    return again.log.animate(again.path, file, vehicle=again.vehicle, speed=speed, fps=8.0, progress=progress)

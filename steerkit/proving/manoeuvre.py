@@ -208,8 +208,6 @@ class Manoeuvre:
     sides: tuple[str, ...] = ("left", "right")
     cutoff: float = number(0.0, "Hz", low=0.0, high=50.0)
     """Of the filter before evaluation, Butterworth of fourth order, forward and backward; 0: none [Hz]."""
-    sensor_x: float = number(0.0, "m", low=-10.0, high=10.0)
-    """The accelerometer's place, ahead of the centre of gravity [m]."""
     limits: tuple[Limit, ...] = ()
     sources: Mapping[str, str] = field(default_factory=dict)
     """Where each number of the file comes from, by its table and key."""

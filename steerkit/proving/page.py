@@ -22,7 +22,7 @@ _JUDGED = {
 }
 _MANY = 12
 """More evaluations than these get a row each."""
-_SETTINGS = ("course", "repeats", "sides", "cutoff", "sensor_x")
+_SETTINGS = ("course", "repeats", "sides", "cutoff")
 
 
 def write(file: File, evaluations: Sequence[Evaluation], *, general: Mapping[str, str] = {}, command: str = "") -> None:

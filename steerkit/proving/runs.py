@@ -62,16 +62,13 @@ class Run:
 
 
 def prepared(run: Run, manoeuvre: Manoeuvre) -> Run:
-    """A run as it is evaluated: to the left, a_y at the centre of gravity, filtered.
+    """A run as it is evaluated: to the left, filtered.
 
-    Signals of a run to the right change their sign. a_y = a_y of the sensor - sensor_x r', then all but positions go
-    through a Butterworth low-pass of second order, forward and backward, which makes one of fourth order without lag;
-    not where the sampling is too slow for the cutoff.
+    Signals of a run to the right change their sign. Then all but positions go through a Butterworth low-pass of second
+    order, forward and backward, which makes one of fourth order without lag; not where the sampling is too slow for it.
     """
     signals = {name: np.asarray(values, dtype=float) for name, values in run.signals.items()}
     signals = {name: SIDES[run.side] * values if name in SIGNED else values for name, values in signals.items()}
-    if manoeuvre.sensor_x:
-        signals["a_y"] = signals["a_y"] - manoeuvre.sensor_x * np.gradient(signals["r"], run.dt)
     if 0.0 < manoeuvre.cutoff < 0.45 / run.dt and len(run.t) > 30:
         sos = scipy.signal.butter(2, manoeuvre.cutoff, fs=1.0 / run.dt, output="sos")
         for name in ("delta_sw_cmd", "delta_sw", "r", "a_y", "beta"):

@@ -68,7 +68,6 @@ AT_HOME = {
     "panda": {"car.production.line"},
     "gymnasium": {"gym", "export.minari"},
     "defusedxml": {"paths.importers.xml_stream"},
-    "ijson": {"paths.importers.tracks"},
 }
 """Where a package may be imported: a module or package of steerkit."""
 

@@ -144,7 +144,7 @@ def _compared(done: Done) -> None:
     assert rows["runs/a"]["share_within_5cm"] > 0.3, "an untrained net has less than 0.02"
     assert len({row["rms_e"] for row in rows.values()}) == 4, "each drove for itself"
     files = {file.name for file in (done.place / "compared").iterdir()}
-    assert files == {"stanley.npz", "mpc.npz", "a.npz", "my_file.py-make.npz", "drive.json", "drive.png"}
+    assert files == {"stanley.npz", "mpc.npz", "a.npz", "my_file.py-make.npz", "drive.png"}
 
 
 def _filmed(done: Done) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -25,8 +24,8 @@ Array = NDArray[np.float64]
 
 STEP = 0.5
 """A lane's centre has a point so often [m]."""
-_TORN, _TOLD, _BENT = 0.2, 0.02, 0.1
-"""Pieces of a reference line that lie further apart are torn, from here on it is said [m]; they turn by this [rad]."""
+_TORN, _BENT = 0.2, 0.1
+"""Pieces of a reference line that lie further apart are torn [m], or that turn by more than this [rad]."""
 _DRIVABLE = re.compile(
     "driving|entry|exit|onRamp|offRamp|connectingRamp|slipLane|bidirectional|bus|taxi|HOV|mwyEntry|mwyExit|special[123]"
 )
@@ -81,7 +80,6 @@ class Road:
     links: dict[str, tuple[str, str, str]]
     """predecessor, successor -> (road or junction, its name, start or end)."""
     limits: Steps
-    notes: list[str]
 
     def reference(self, s: Array) -> tuple[Array, Array, Array]:
         """x, y [m] and heading [rad] of the reference line at s (n,) [m]."""
@@ -151,14 +149,14 @@ def opendrive(file: str) -> Map:
     """The lanes of an OpenDRIVE map: their centres beside the reference line, linked through roads and junctions.
 
     Read: line, arc, spiral, poly3, paramPoly3 (both pRange), lane offset, lane sections, widths or borders, links,
-    junctions, speeds, left-hand traffic (rule), reversed lanes. Reported and not used: elevation, superelevation,
-    shape, geoReference. Raises ValueError for a map that is damaged, torn or contradicts itself.
+    junctions, speeds, left-hand traffic (rule), reversed lanes; not elevation, superelevation, shape, geoReference.
+    Raises ValueError for a map that is damaged, torn or contradicts itself.
     Source: ASAM OpenDRIVE 1.4 to 1.8.
     """
-    roads, junctions, remarks, faulty = read(file)
+    roads, junctions, faulty = read(file)
     require_some(roads, faulty, file, "roads with lanes")
     joined = [note for road in roads.values() for note in _linked(road)]
-    remarks += joined[:_TOLD_LINKS]
+    remarks = joined[:_TOLD_LINKS]
     remarks += [f"{len(joined) - _TOLD_LINKS} more lanes without links alike"] * (len(joined) > _TOLD_LINKS)
     pieces = {
         road.called(k, lane.number): Piece(
@@ -197,24 +195,19 @@ Links = dict[tuple[str, str, int], list[tuple[str, str, int]]]
 """Of junctions: (junction, incoming road, its lane) -> (connecting road, start or end of it, its lane)."""
 
 
-def read(file: str) -> tuple[dict[str, Road], Links, list[str], dict[str, str]]:
-    """Roads by name, the links of junctions, what the reader notes about them, and the roads that are faulty."""
+def read(file: str) -> tuple[dict[str, Road], Links, dict[str, str]]:
+    """Roads by name, the links of junctions, and the roads that are faulty."""
     roads: dict[str, Road] = {}
     faulty: dict[str, str] = {}
     junctions: Links = {}
-    told = Counter[str]()
-    for record in records(file, ("road", "junction", "geoReference")):
-        if record.tag == "geoReference":
-            told["geoReference"] = 1
-        elif record.tag == "road":
+    for record in records(file, ("road", "junction")):
+        if record.tag == "road":
             name = get(record, "id")
             require(name not in roads, file, f"two roads of the name {name}")
             try:
                 roads[name] = _road(record)
             except ValueError as error:
                 faulty[name] = str(error).removeprefix(f"road {name}: ")
-                continue
-            told.update(roads[name].notes)
         else:
             for connection in record.findall("connection"):
                 incoming, through = connection.get("incomingRoad"), connection.get("connectingRoad")
@@ -223,12 +216,7 @@ def read(file: str) -> tuple[dict[str, Road], Links, list[str], dict[str, str]]:
                     for link in connection.findall("laneLink"):
                         key = get(record, "id"), incoming, _whole(link, "from")
                         junctions.setdefault(key, []).append((through, contact, _whole(link, "to")))
-    return (
-        roads,
-        junctions,
-        [f"{what}{f' (in {count} roads)' if count > 1 else ''}: read but not used" for what, count in told.items()],
-        faulty,
-    )
+    return roads, junctions, faulty
 
 
 def _whole(node: Element, key: str) -> int:
@@ -237,23 +225,12 @@ def _whole(node: Element, key: str) -> int:
     return round(value)
 
 
-_NOT_USED = {
-    "elevation": ("elevationProfile/elevation", "bcd"),
-    "superelevation": ("lateralProfile/superelevation", "abcd"),
-    "lateral shape": ("lateralProfile/shape", "abcd"),
-}
-"""What a road has of the third dimension: where it stands, and the coefficients that are 0 where it is flat."""
-
-
 def _road(node: Element) -> Road:
     name, length = get(node, "id"), number(node, "length")
     where = f"road {name}"
     shapes = [_shape(geometry) for geometry in node.findall("planView/geometry")]
     require(shapes, where, "no geometry")
-    notes = _checked(shapes, length, where)
-    for what, (path, coefficients) in _NOT_USED.items():
-        if any(number(row, c, 0.0) for row in node.findall(path) for c in coefficients):
-            notes.append(what)
+    _check_line(shapes, length, where)
     links = {
         link.tag: (get(link, "elementType", "road"), get(link, "elementId"), get(link, "contactPoint", "start"))
         for link in (*node.findall("link/predecessor"), *node.findall("link/successor"))
@@ -268,7 +245,6 @@ def _road(node: Element) -> Road:
         sections=_sections(node.findall("lanes/laneSection"), length, where),
         links=links,
         limits=[(number(kind, "s"), _limit(speed)) for kind in node.findall("type") for speed in kind.findall("speed")],
-        notes=notes,
     )
 
 
@@ -310,9 +286,8 @@ def _cubics(nodes: list[Element], key: str = "sOffset") -> Steps:
     return rows
 
 
-def _checked(shapes: list[Shape], length: float, where: str) -> list[str]:
-    """Remarks on a reference line; ValueError where its pieces do not meet or its length is not the stated one."""
-    notes = []
+def _check_line(shapes: list[Shape], length: float, where: str) -> None:
+    """ValueError where the pieces of a reference line do not meet or its length is not the stated one."""
     total = sum(shape.length for shape in shapes)
     fits = abs(total - length) <= 0.01 + 1e-3 * length
     require(fits, where, f"its geometry is {total:.3f} m long, the road {length:.3f} m: damaged?")
@@ -325,9 +300,6 @@ def _checked(shapes: list[Shape], length: float, where: str) -> list[str]:
         require(turn <= _BENT, where, f"its reference line has a kink of {turn:.2f} rad {at}")
         apart = abs(before.s + before.length - shape.s)
         require(apart <= 0.01 + 1e-3 * length, where, f"its geometry leaves out {apart:.2f} m {at}")
-        if gap > _TOLD:
-            notes.append(f"a reference line with gaps above {_TOLD:g} m")
-    return notes
 
 
 def _sections(nodes: list[Element], length: float, where: str) -> list[Section]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import json
 import math
 from array import array
 from collections.abc import Callable, Iterable, Iterator
@@ -13,8 +14,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import optional, require
-from steerkit._support.files import opened, read_text
+from steerkit._support.errors import require
+from steerkit._support.files import read_text
 from steerkit._support.tables import seconds_of
 from steerkit.paths.importers.course import Line, distinct
 from steerkit.paths.importers.xml_stream import finite, number, records, shown, value
@@ -198,43 +199,29 @@ def geojson(file: str) -> list[Track]:
     longitude, latitude in degrees (RFC 7946); with a `crs` member that names none in degrees, x, y in metres.
     Raises ValueError for what is no GeoJSON, damaged or cut off, and for coordinates that are no numbers.
     """
-    ijson = optional("ijson", f"{file}: GeoJSON", "roads")
-    kind, crs, tracks = "", "CRS84", list[Track]()
     try:
-        with opened(file) as stream:
-            for prefix, _, found in ijson.parse(_shallow(ijson.basic_parse(stream, use_float=True, buf_size=_CHUNK))):
-                kind = found if prefix == "type" else kind
-                crs = found if prefix == "crs.properties.name" else crs
-            require(kind in _GEO, file, f"type {kind!r}, expected GeoJSON: {', '.join(_GEO)}")
-            stream.seek(0)
-            where = "features.item" if kind == "FeatureCollection" else ""
-            flat = not any(word in crs for word in ("CRS84", "4326"))
-            for k, feature in enumerate(ijson.items(stream, where, use_float=True, buf_size=_CHUNK)):
-                try:
-                    tracks += _lines(feature, tracks, flat)
-                except (AttributeError, KeyError, TypeError, ValueError) as error:  # not the next one's fault
-                    tracks.append(Track(f"number {k}"))
-                    tracks[-1].bad.append(f"no GeoJSON, or damaged ({type(error).__name__}: {error})")
-    except OSError as error:
-        raise ValueError(f"{file}: cannot be read ({error.strerror})") from error
-    except (ijson.JSONError, UnicodeError, RecursionError) as error:
+        data = json.loads(read_text(file, "course"))
+    except (json.JSONDecodeError, ValueError, RecursionError) as error:
         raise ValueError(f"{file}: no JSON, damaged or cut off ({' '.join(str(error).split())[:80]})") from error
+    data = data if isinstance(data, dict) else {}
+    kind, tracks = data.get("type", ""), list[Track]()
+    require(kind in _GEO, file, f"type {kind!r:.40}, expected GeoJSON: {', '.join(_GEO)}")
+    try:
+        features = data["features"] if kind == "FeatureCollection" else [data]
+        crs = str(data["crs"]["properties"]["name"]) if data.get("crs") else "CRS84"
+        flat = not any(word in crs for word in ("CRS84", "4326"))
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{file}: no GeoJSON, or damaged ({type(error).__name__}: {error})") from error
+    for k, feature in enumerate(features):
+        try:
+            tracks += _lines(feature, tracks, flat)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:  # not the next one's fault
+            tracks.append(Track(f"number {k}"))
+            tracks[-1].bad.append(f"no GeoJSON, or damaged ({type(error).__name__}: {error})")
     return _some(tracks)
 
 
 _GEO = ("FeatureCollection", "Feature", "GeometryCollection", "LineString", "MultiLineString")
-_CHUNK = 1 << 12
-_DEEPEST = 40
-
-
-def _shallow(events: Iterable[tuple[str, Any]]) -> Iterator[tuple[str, Any]]:
-    """The events; ValueError where brackets within each other would take memory by the square of their number."""
-    depth = 0
-    for event, found in events:
-        depth += event.startswith("start") - event.startswith("end")
-        if depth > _DEEPEST:
-            raise ValueError(f"more than {_DEEPEST} brackets within each other: no GeoJSON")
-        yield event, found
 
 
 def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Track]:
@@ -251,11 +238,8 @@ def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Tra
         name = base + f".{k}" * (len(lines) > 1)
         timed = len(lines) == 1 and len(times) == len(points)
         track = Track(f"{name}-{len(before) + k}" if name in used else name, flat=flat, drawn=not timed)
-        stamps = list(times) if timed else [None] * len(points)
-        stamps.reverse()
-        points.reverse()
-        while points:
-            track.read("coordinates", functools.partial(_place, points.pop(), flat), stamps.pop())  # not held twice
+        for point, stamp in zip(points, times if timed else [None] * len(points)):
+            track.read("coordinates", functools.partial(_place, point, flat), stamp)
         made.append(track)
     return made
 

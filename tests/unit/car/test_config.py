@@ -197,10 +197,10 @@ def test_what_the_file_says_arrives_in_its_place(tmp_path: Path) -> None:
     assert config.gate.steer_ratio == config.vehicle.steer_ratio
 
 
-def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
-    changes = ("e_max = 2.0 -> e_max = 20.0", 'signal = "ANGLE" -> signal = "ANGEL"', '"vw-passat" -> "vw"')
+def test_all_contradictions_come_at_once(tmp_path: Path) -> None:
+    swapped = ('"ENABLED" } -> "OVERRIDE"}', '"OVERRIDE" } -> "ENABLED"}')
     with pytest.raises(ConfigError) as caught:
-        load(changed(tmp_path, *changes))
+        load(changed(tmp_path, *swapped, "SG_ SCMD : 0|16@1- (0.1,0) -> SG_ SCMD : 0|16@1- (5,0)"))
     assert len(str(caught.value).splitlines()) >= 3
 
 

@@ -66,9 +66,6 @@ TWO = ("--controller", "mpc", "--controller", "lqr")
         (("identify", "genesis", "--base", "pasat"), "did you mean 'vw-passat'"),
         (("identify", "genesis", "--fix", "lag"), "expected NAME=VALUE"),
         (("identify", "genesis", "--column", "v=speed"), "column for v 'speed' is not known"),
-        (("resimulate", "genesis", *TWO, "--film", "a.gif"), "--film a.gif: shows one controller, not mpc, lqr"),
-        (("resimulate", "no-such-file.csv", "--film", "a.avi"), "a film ends in .gif or .mp4"),
-        (("resimulate", "genesis", "--film", "b.gif", "--film-lasts", "0"), "--film-lasts: 0 [s], expected 1 to 120"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(

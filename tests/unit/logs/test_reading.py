@@ -14,7 +14,6 @@ from scipy.io import savemat
 from steerkit.diagram.units import degrees_of
 from steerkit.identification import Drive, read_drive
 from steerkit.logs import tables
-from steerkit.logs.reading import correlation
 from tests.support.recorded_cars import by_rate, driven
 
 
@@ -222,28 +221,6 @@ def test_the_time_is_the_column_that_is_named(clean: dict[str, Any], tmp_path: P
     (tmp_path / "a.csv").write_text("\n".join([*text, ""]))
     drive = read_drive(tmp_path / "a.csv", {"t": {"column": "stamp", "unit": "ms"}})
     np.testing.assert_allclose(drive.delta_sw, Drive.of(by_rate(clean)).delta_sw, atol=1e-9)
-
-
-def motion(t: np.ndarray) -> np.ndarray:
-    return np.sin(0.7 * t) + 0.5 * np.sin(2.3 * t + 1.0) + 0.2 * np.sin(5.1 * t)
-
-
-@pytest.mark.parametrize("lag", [-0.31, -0.028, 0.0, 0.1234, 0.45])
-def test_a_late_sensor_of_another_size_rate_and_zero_goes_with_it(lag: float) -> None:
-    rng = np.random.default_rng(0)
-    t, other = np.arange(0.0, 60.0, 0.0112), np.sort(rng.uniform(-1.0, 61.0, 6000))
-    late = -0.9 * motion(other - lag) + 0.05
-    noisy = motion(t) + 0.02 * rng.normal(size=len(t))
-    assert -1.0 <= correlation(t, noisy, other, late + 0.02 * rng.normal(size=len(other))) < -0.99
-
-
-def test_what_has_nothing_to_do_with_it_does_not_and_too_little_teaches() -> None:
-    t = np.arange(0.0, 60.0, 0.01)
-    other = np.random.default_rng(1).normal(size=len(t))
-    assert abs(correlation(t, motion(t), t, other)) < 0.3
-    assert correlation(t, motion(t), t, np.zeros(len(t))) == 0.0
-    with pytest.raises(ValueError, match=r"0\.0 s in common, expected 5 or more"):
-        correlation(t, motion(t), t + 100.0, motion(t))
 
 
 def test_a_clock_may_pass_midnight(tmp_path: Path) -> None:
