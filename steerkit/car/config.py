@@ -641,11 +641,11 @@ class Reading:
         if not ok:
             raise self.wrong(what)
 
-    def made(self, where: str, make: Callable[..., Any], *given: Any, errors: Any = (ValueError, OSError)) -> Any:
+    def made(self, where: str, make: Callable[..., Any], *given: Any, errors: Any = None) -> Any:
         """What `make` makes of these; what it raises is a mistake of the file."""
         try:
             return make(*given)
-        except errors as error:
+        except errors or (ValueError, OSError) as error:
             raise self.wrong(f"{where}{in_one_line(error)}") from error
 
     def one_of(self, name: Any, valid: Iterable[str], what: str) -> None:
