@@ -643,9 +643,10 @@ class Reading:
 
     def made(self, where: str, make: Callable[..., Any], *given: Any, errors: Any = None) -> Any:
         """What `make` makes of these; what it raises is a mistake of the file."""
+        caught = errors or (ValueError, OSError)
         try:
             return make(*given)
-        except errors or (ValueError, OSError) as error:
+        except caught as error:
             raise self.wrong(f"{where}{in_one_line(error)}") from error
 
     def one_of(self, name: Any, valid: Iterable[str], what: str) -> None:
