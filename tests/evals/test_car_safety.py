@@ -147,8 +147,9 @@ def test_a_filtered_learner_stays_on_the_path_and_replays_bit_for_bit_correction
     assert learner.learner_state.counts.failures == len(lost) >= 2
     config, path = setup()
     assert replays.replayed_requests(drive, config, path) == len(drive.requests)
-    drive.filtered[:] = [did._replace(reason=0.0) for did in drive.filtered]  # as if it had never been late
-    assert replays.replayed_requests(drive, config, path) < len(drive.requests)
+    basis, asked = drive.requests[20]
+    drive.requests[20] = basis, asked + 1e-15
+    assert replays.replayed_requests(drive, config, path) == len(drive.requests) - 1
 
 
 def test_a_dead_time_that_the_filter_finds_goes_into_the_policy_and_the_recording(
