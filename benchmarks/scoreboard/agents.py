@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import math
 import os
 import time
@@ -508,10 +509,23 @@ def _never(seconds: float | None) -> float:
 
 
 def _done(jobs: Sequence[Job], options: argparse.Namespace) -> dict[Job, kept.Row]:
-    err = Console(stderr=True)
+    err, answered = Console(stderr=True), _good_before(jobs, options.keep) if options.keep else {}
+    left = [job for job in jobs if job not in answered]
     with spread.computing(spread.where(options)) as those:
-        done = kept.done(one_run, jobs, those, options.keep, math.inf, err.print)
-        return dict(track(done, total=len(jobs), description="agents", console=err)) if jobs else {}
+        done = kept.done(one_run, left, those, options.keep, math.inf, err.print)
+        return answered | dict(track(done, total=len(left), description="agents", console=err))
+
+
+def _good_before(jobs: Sequence[Job], file: Path) -> dict[Job, kept.Row]:
+    """Rows of runs with no larger budget that came to a GOOD policy: a larger one would change nothing."""
+    found = {}
+    for name, row in kept.stored(file).items():
+        kept_job = Job(**json.loads(name)[1])
+        for job in jobs if row["good"] is not None else ():
+            within = kept_job.minutes <= job.minutes and kept_job.computing <= job.computing
+            if within and job == replace(kept_job, minutes=job.minutes, computing=job.computing):
+                found[job] = row
+    return found
 
 
 def _judged(rows: dict[str, list[kept.Row]], options: argparse.Namespace) -> dict[str, Any]:

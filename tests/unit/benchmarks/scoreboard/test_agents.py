@@ -3,6 +3,7 @@
 import argparse
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.scoreboard import agents
-from benchmarks.scoreboard.agents import AGENTS, NFQ, Job, Trials
+from benchmarks.scoreboard.agents import AGENTS, NFQ, Job, Outcome, Trials
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.settings import DEFAULT, SETTINGS
@@ -99,6 +100,28 @@ def test_who_never_came_to_it_counts_as_never_and_the_winner_is_first(capsys: py
 def test_the_best_draw_is_good_soonest_or_else_goes_furthest() -> None:
     rows = [row(None, rounds=0.2, rms_e=math.nan), row(None, rounds=0.9, rms_e=0.2), row(90.0, rounds=1.0, rms_e=0.1)]
     assert sorted(rows, key=agents._merit) == rows[::-1]
+
+
+def test_a_good_run_counts_for_larger_budgets_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = list[Job]()
+
+    def one_run(job: Job) -> Outcome:
+        begun.append(job)
+        return Outcome(60.0 if job.seed else None, 1.0, 60.0, 4, True, 1.0, 0.05, 2.0, "")
+
+    monkeypatch.setattr(agents, "one_run", one_run)
+    options = argparse.Namespace(keep=tmp_path / "runs.jsonl", quick=True, processes=1, backend="loky", address=None)
+    jobs = [Job("sac", seed, 0, 5.0, 30.0) for seed in (0, 1)]
+    rows = agents._done(jobs, options)
+    assert [rows[job]["good"] for job in jobs] == [None, 60.0]
+    assert begun == jobs
+    longer = [replace(job, minutes=30.0) for job in jobs]
+    assert agents._done(longer, options)[longer[1]] == rows[jobs[1]]
+    assert begun[2:] == longer[:1], "what was not GOOD is driven for longer"
+    assert agents._done(jobs, options) == rows
+    other = [replace(job, computing=20.0) for job in jobs] + [replace(jobs[1], draw=1)]
+    agents._done(other, options)
+    assert begun[3:] == other, "less computing might not have sufficed"
 
 
 @pytest.fixture(scope="module")
