@@ -77,7 +77,7 @@ IMAGINED = 25_000
 """Imagined transitions that are kept, the newest."""
 GRID = ((20.0, 2.0), (60.0, 5.0), (120.0, 10.0), (math.inf, 30.0))
 """Until when [s] it is tested how often [s]."""
-WITHIN = (3.0, 30.0, 300.0)
+WITHIN = (1.0, 3.0, 10.0, 30.0)
 """Seconds of computing of the second table."""
 
 

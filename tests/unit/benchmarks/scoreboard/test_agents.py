@@ -88,7 +88,7 @@ def test_who_never_came_to_it_counts_as_never_and_the_winner_is_first(capsys: py
     assert figures["good_seconds_interval"]["default"] == [4.0, 6.0]
     assert figures["good_share"]["tqc"] == pytest.approx(2.0 / 3.0)
     assert figures["computing_seconds"]["tqc"] == 40.0
-    assert figures["good_within_computing"]["tqc"] == pytest.approx([1.0 / 3.0, 1.0 / 3.0, 2.0 / 3.0])
+    assert figures["good_within_computing"]["tqc"] == pytest.approx([0.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0])
     assert (figures["agents_x_model_free"], figures["agents_x_same_model"]) == (20.0, pytest.approx(3.2))
     lines = capsys.readouterr().out.splitlines()
     order = [line.split()[1] for line in lines if line.startswith("│")]
