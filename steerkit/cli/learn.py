@@ -226,7 +226,6 @@ def show(
     diagnostics: Annotated[
         bool, typer.Option(help="Draw what the net believes, and where and when it failed.")
     ] = False,
-    against: Annotated[list[Path] | None, typer.Option(help="Other runs to compare with (with --diagnostics).")] = None,
     film: Annotated[
         Path | None, typer.Option(help="Film of the run to write, from its first second on (.gif).")
     ] = None,
@@ -241,7 +240,7 @@ def show(
     """Show a learning run: counts, episodes, learned against Stanley, and its pictures; several as one table."""
     console.stderr = as_json
     if len(runs) > 1:
-        require(not diagnostics, "show --diagnostics", "takes one run; the others go with --against")
+        require(not diagnostics, "show --diagnostics", "takes one run")
         require(film is None, "show --film", "takes one run")
         require(distance is None, "show --distance", "takes one run")
         rows = report.show_several(runs)
@@ -259,7 +258,7 @@ def show(
         console.print(f"film: {film_of(run, film, lasts=film_lasts)}", soft_wrap=True)
     figures = report.show(run, quiet=quiet)
     if diagnostics:
-        drawn = draw_all(run, against=against or ())
+        drawn = draw_all(run)
         console.print(f"diagnostics: {', '.join(map(str, drawn))}", soft_wrap=True)
     if as_json:
         print(json.dumps(figures))

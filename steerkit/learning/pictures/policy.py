@@ -21,16 +21,6 @@ from steerkit.task import TRIP
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LABELS = {
-    "e": "e [m]",
-    "e_dot": "e_dot [m/s]",
-    "v": "v [m/s]",
-    "psi_e": "psi_e [deg], e_dot with it",
-    "r_e": "r_e [deg/s]",
-    "doe": "steering wheel [deg], psi_e with it",
-}
-SPANS = {"e": 0.5, "e_dot": 1.0, "psi_e": radians_of(15.0), "r_e": radians_of(20.0), "doe": radians_of(300.0)}
-"""Half-widths of the slices [SI]."""
 Array = NDArray[np.float64]
 
 
@@ -72,35 +62,6 @@ def states(
 
 
 @styled
-def q_slices(policy: NfqPolicy, scenario: Scenario, *, v: float = 6.0, doe: float = 0.0, title: str = "") -> Figure:
-    """Q(s, a) along one input at a time, a line an action; grey: the nets' differing opinions of the greedy value.
-
-    Slices go through the car on the path at v [m/s], wheel at doe [rad]; what hangs together moves together (`states`).
-    """
-    n, names, actions = 241, policy.description.names, sorted(policy.actions)
-    figure, axes = _grid(2, 3, f"{title or 'NfqPolicy'}: Q-values around the path at {v:.1f} m/s", height=5.8)
-    for axis, name in zip(axes.flat, names):
-        x = np.linspace(3.0, 9.0, n) if name == "v" else np.linspace(-SPANS[name], SPANS[name], n)
-        where = {"v": v, "doe": doe} | {"psi" if name == "psi_e" else name: x}
-        members = q_values(policy, states(scenario, names, n, **where))
-        q, best = mean_of(members), members.min(axis=1)
-        at = x if name in ("e", "e_dot", "v") else degrees_of(x)
-        if len(best) > 1:
-            span = best.min(axis=0), best.max(axis=0)
-            axis.fill_between(at, *span, color=COLOURS["muted"], alpha=0.3, lw=0, label="greedy, all nets")
-        for action, values, colour in zip(actions, q, _action_colours(actions)):
-            axis.plot(at, values, color=colour, lw=1.5, label=_action_name(action))
-        axis.plot(at, q.min(axis=0), color=COLOURS["ink"], lw=0.9, ls=(0, (1, 1.5)), label="greedy")
-        axis.set(xlabel=LABELS[name], ylim=(0.0, 1.0))
-        axis.margins(x=0.0)
-    for row in axes:
-        row[0].set_ylabel("Q: expected cost to go")
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
-    return figure
-
-
-@styled
 def policy_map(
     policy: NfqPolicy,
     scenario: Scenario,
@@ -124,7 +85,10 @@ def policy_map(
     shades = np.array([[int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in colours], dtype=np.uint8)
     look: dict[str, Any] = {"extent": (-TRIP, TRIP, -10.0, 10.0), "origin": "lower", "aspect": "auto"}
     top = max(float(values.min(axis=0).max()) for values in q)
-    figure, axes = _grid(2, len(q), f"{title or 'NfqPolicy'}: what the net does at {v:.1f} m/s", height=6.8)
+    title = f"{title or 'NfqPolicy'}: what the net does at {v:.1f} m/s"
+    figure, (only,) = new_figure(title=title, width=10.5, height=6.8)
+    figure.delaxes(only)
+    axes = figure.subplots(2, len(q), squeeze=False, sharey=True)
     seen = dict(zip(names, (visited or Transitions(names)).s.T))
     for (above, below), doe, values in zip(axes.T, doe_deg, q):
         course = course_angle(scenario, radians_of(doe))
@@ -165,9 +129,3 @@ def _action_colours(actions: Sequence[float]) -> list[str]:
     right = shades(("#0b3c5d", "#2f7fb5", "#9cc9e3"), sum(a < 0.0 for a in actions))
     left = shades(("#8a3b06", "#d9772b", "#f2c39b"), sum(a > 0.0 for a in actions))
     return [*right, *(["#b4bcc4"] * (0.0 in actions)), *left[::-1]]
-
-
-def _grid(rows: int, columns: int, title: str, *, height: float) -> tuple[Figure, Any]:
-    figure, (only,) = new_figure(title=title, width=10.5, height=height)
-    figure.delaxes(only)
-    return figure, figure.subplots(rows, columns, squeeze=False, sharey=True)

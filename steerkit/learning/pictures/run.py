@@ -6,7 +6,7 @@ directory. How to read them: docs/learning.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -18,18 +18,17 @@ from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import V
 from steerkit.diagram.simulation import Log
-from steerkit.diagram.units import degrees_of
 from steerkit.learning import rundir
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
-from steerkit.learning.pictures.policy import policy_map, q_slices
+from steerkit.learning.pictures.policy import policy_map
 from steerkit.paths.path import Path
-from steerkit.plots.style import COLOURS, PALETTE, new_figure, save, styled
-from steerkit.task import GOAL, TRIP
+from steerkit.plots.drive import round_driven
+from steerkit.plots.style import COLOURS, new_figure, save, styled
+from steerkit.task import GOAL
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 WINDOW = 5.0
@@ -100,64 +99,31 @@ def learning_curve(record: Record) -> Figure:
     """How long the learner steered, RMS e over the last seconds, and failures; shaded: recovery steers."""
     figure, (held, error, count) = new_figure(3, title=f"{record.name}: learning curve", width=10.5)
     shade: dict[str, Any] = dict(color=COLOURS["recovery"], alpha=0.75, lw=0, step="post", label="recovery steers")
+    colour, mark, end = COLOURS["learned"], COLOURS["limit"], float(record.log.t[-1])
     for axis in (held, error, count):
         span = axis.get_xaxis_transform()
         axis.fill_between(record.log.t, 0, 1, where=~record.learning, transform=span, **shade)
-    _draw_held(held, record, COLOURS["learned"], COLOURS["limit"])
-    _draw_error(error, record, COLOURS["learned"])
-    _draw_failures(count, record, COLOURS["learned"])
-    held.plot([], [], "x", color=COLOURS["limit"], ms=5, label="failure")
-    held.legend(loc="lower right", ncols=2)
-    _finish(count, [record])
-    return figure
-
-
-@styled
-def compare(records: Sequence[Record]) -> Figure:
-    """The learning curves of several runs in one picture."""
-    require(len(records) > 0, "compare", "no runs, expected at least one")
-    figure, axes = new_figure(3, title="Runs compared", width=10.5)
-    held, error, count = axes
-    for record, colour in zip(records, PALETTE * len(records)):
-        _draw_held(held, record, colour, colour)
-        _draw_error(error, record, colour)
-        _draw_failures(count, record, colour)
-        held.plot([], [], color=colour, lw=2.0, label=f"{record.name}, seed {record.experiment.seed}")
-    figure.legend(*held.get_legend_handles_labels(), loc="outside lower center", ncols=min(3, len(records)))
-    _finish(count, records)
-    return figure
-
-
-def _draw_held(axis: Axes, record: Record, colour: str, mark: str) -> None:
     for episode in record.episodes:
         t = np.geomspace(0.1, max(0.1, record.ended(episode) - episode.began), 60)
-        axis.plot(episode.began + t, t, color=colour, lw=1.2)
+        held.plot(episode.began + t, t, color=colour, lw=1.2)
         if episode.failed:
-            axis.plot(episode.began + t[-1], t[-1], "x", color=mark, ms=5, mew=1.1)
-    axis.set(yscale="log", ylabel="learner steers for [s]")
-    axis.set_yticks((0.1, 1.0, 10.0, 100.0), ("0.1", "1", "10", "100"))
-
-
-def _draw_error(axis: Axes, record: Record, colour: str) -> None:
-    axis.plot(record.log.t, record.rms(), color=colour, lw=1.2)
-    axis.axhline(GOAL, color=COLOURS["goal"], lw=1.2, zorder=1)
-    axis.set(yscale="log", ylim=(1e-3, 1.0), ylabel=f"RMS e over {WINDOW:.0f} s [m]")
-    axis.set_yticks((0.001, 0.01, 0.1, 1.0), ("0.001", "0.01", "0.1", "1"))
-
-
-def _draw_failures(axis: Axes, record: Record, colour: str) -> None:
-    times = [0.0, *(record.ended(episode) for episode in record.episodes if episode.failed), float(record.log.t[-1])]
+            held.plot(episode.began + t[-1], t[-1], "x", color=mark, ms=5, mew=1.1)
+    held.set(yscale="log", ylabel="learner steers for [s]")
+    held.set_yticks((0.1, 1.0, 10.0, 100.0), ("0.1", "1", "10", "100"))
+    error.plot(record.log.t, record.rms(), color=colour, lw=1.2)
+    error.axhline(GOAL, color=COLOURS["goal"], lw=1.2, zorder=1)
+    error.set(yscale="log", ylim=(1e-3, 1.0), ylabel=f"RMS e over {WINDOW:.0f} s [m]")
+    error.set_yticks((0.001, 0.01, 0.1, 1.0), ("0.001", "0.01", "0.1", "1"))
+    times = [0.0, *(record.ended(episode) for episode in record.episodes if episode.failed), end]
     counts = [*range(len(times) - 1), len(times) - 2]
-    axis.plot(times, counts, color=colour, lw=1.4, drawstyle="steps-post")
-    axis.annotate(f"{counts[-1]} ", (times[-1], counts[-1]), color=colour, fontsize=8, va="bottom", ha="right")
-    axis.set_ylabel("failures so far")
-
-
-def _finish(count: Axes, records: Sequence[Record]) -> None:
-    most_failures = max(1, *(len(record.failed_at) for record in records))
-    count.set(xlabel="driving time [s]", ylim=(0.0, 1.15 * most_failures))
-    count.set_xlim(0.0, max(float(record.log.t[-1]) for record in records))
+    count.plot(times, counts, color=colour, lw=1.4, drawstyle="steps-post")
+    count.annotate(f"{counts[-1]} ", (times[-1], counts[-1]), color=colour, fontsize=8, va="bottom", ha="right")
+    held.plot([], [], "x", color=mark, ms=5, label="failure")
+    held.legend(loc="lower right", ncols=2)
+    count.set(xlabel="driving time [s]", ylabel="failures so far", ylim=(0.0, 1.15 * max(1, counts[-1])))
+    count.set_xlim(0.0, end)
     count.locator_params(axis="y", integer=True)
+    return figure
 
 
 @styled
@@ -189,9 +155,8 @@ def failure_map(record: Record) -> Figure:
     return figure
 
 
-@styled
-def replay(record: Record, number: int, *, margin: float = 2.0) -> Figure:
-    """Episode `number` (from 1), with `margin` seconds around it: on the map, e, heading, wheel and actions.
+def replay(record: Record, number: int) -> Figure:
+    """Episode `number` (from 1): on the map, e, wheel and lateral acceleration.
 
     Raises ValueError for an episode that is not there.
     """
@@ -199,67 +164,24 @@ def replay(record: Record, number: int, *, margin: float = 2.0) -> Figure:
     require(1 <= number <= count, "replay", f"episode {number} of {record.name}, expected 1 to {count}")
     episode, log = record.episodes[number - 1], record.log
     began, ended = episode.began, record.ended(episode)
-    part = (log.t >= began - margin) & (log.t <= ended + margin)
-    inside = (log.t >= began - 1e-6) & (log.t <= ended + 1e-6)
-    t = log.t[part] - began
+    part = (log.t >= began - 1e-6) & (log.t <= ended + 1e-6)
     ending = "failed" if episode.failed else "still driving"
     title = f"{record.name}: episode {number}, {ending} after {ended - began:.1f} s, {episode.distance:.0f} m"
-    figure, (course, e, psi, wheel, act) = new_figure(4, title=title, map_beside=True, height=6.6)
-    line = record.path.samples
-    course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["grid"], lw=6.0, zorder=1)
-    course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["paper"], lw=1.0, zorder=1)
-    x, y, off = log["car.x"], log["car.y"], np.abs(log["path.e"][inside])
-    dots = course.scatter(x[inside], y[inside], c=off, s=8, lw=0, cmap="viridis", vmin=0.0, zorder=3)
-    course.plot(x[part], y[part], color=COLOURS["muted"], lw=0.8, zorder=2)
-    at = np.flatnonzero(inside)
-    marks = [("o", at[0], COLOURS["ink"]), *([("X", at[-1], COLOURS["limit"])] if episode.failed else [])]
-    for mark, k, colour in marks:
-        course.plot(x[k], y[k], mark, color=colour, ms=7, zorder=4)
-    half = 6.0 + 0.55 * max(float(np.ptp(x[inside])), float(np.ptp(y[inside])))
-    for name, values in (("x", x[inside]), ("y", y[inside])):  # a square map with room around them
-        middle = 0.5 * float(values.min() + values.max())
-        course.set(**{f"{name}lim": (middle - half, middle + half), f"{name}label": f"{name} [m]"})
-    course.set_aspect("equal")
-    figure.colorbar(dots, ax=course, label="|e| [m]", location="bottom", shrink=0.8, aspect=40)
-    for axis in (e, psi, wheel, act):
-        for span in ((t[0], 0.0), (ended - began, t[-1])):
-            if span[1] > span[0] and (span[0] < 0.0 or episode.failed):
-                axis.axvspan(*span, color=COLOURS["recovery"], alpha=0.6, lw=0)
-    e.axhspan(-GOAL, GOAL, color=COLOURS["goal"], alpha=0.3, lw=0)
-    e.plot(t, log["path.e"][part], color=COLOURS["learned"])
-    for limit in (-TRIP, TRIP):
-        e.axhline(limit, color=COLOURS["limit"], lw=0.8, ls="--")
-    reach = min(1.2, max(0.1, 1.2 * float(off.max())))
-    e.set(ylabel="e [m]", ylim=(-reach, reach))
-    psi.plot(t, degrees_of(log["path.psi_e"][part]), color=COLOURS["learned"])
-    psi.set_ylabel("psi_e [deg]")
-    wanted = degrees_of(log["supervisor.delta_sw"][part])
-    wheel.plot(t, wanted, color=COLOURS["muted"], lw=1.0, label="wanted", drawstyle="steps-post")
-    wheel.plot(t, degrees_of(log["car.delta_sw"][part]), color=COLOURS["wheel"], label="steered")
-    wheel.set_ylabel("wheel [deg]")
-    wheel.legend(loc="best", ncols=2)
-    actions = np.where(inside, degrees_of(log["controller.action"]), np.nan)[part]
-    act.plot(t, actions, color=COLOURS["learned"], lw=0.8, drawstyle="steps-post")
-    act.set(ylabel="action [deg]", xlabel="time since the take-over [s]", xlim=(t[0], t[-1]))
-    return figure
+    shown = Log(log.t[part], {name: values[part] for name, values in log.items()}, log.units)
+    return round_driven(shown, title=title)
 
 
-def draw_all(
-    place: str | FilePath, out: str | FilePath | None = None, against: Sequence[str | FilePath] = ()
-) -> list[FilePath]:
+def draw_all(place: str | FilePath, out: str | FilePath | None = None) -> list[FilePath]:
     """Draw the diagnostics of a run directory as PNG files in `out` (default: `diagnostics` in it); returns them.
 
-    Replays: the longest episode, and the last that failed. against: other run directories, for a comparison.
-    Raises ValueError for a directory that holds no whole run.
+    Replays: the longest episode, and the last that failed. Raises ValueError for a directory that holds no whole run.
     """
     record = Record.read(place)
-    others = [Record.read(other) for other in against]
     folder = FilePath(place) / "diagnostics" if out is None else FilePath(out)
     folder.mkdir(parents=True, exist_ok=True)
     scenario, speeds = record.experiment.scenario, record.transitions.s[:, V]
     v = float(np.median(speeds)) if len(speeds) else 6.0
     figures: dict[str, Callable[[], Figure]] = {
-        "q-slices": lambda: q_slices(record.policy, scenario, v=v, title=record.name),
         "policy-map": lambda: policy_map(record.policy, scenario, visited=record.transitions, v=v, title=record.name),
         "learning-curve": lambda: learning_curve(record),
         "failures": lambda: failure_map(record),
@@ -268,8 +190,6 @@ def draw_all(
     failed = [k for k, episode in enumerate(record.episodes, start=1) if episode.failed]
     for number in sorted({*([int(np.argmax(lengths)) + 1] if lengths else []), *failed[-1:]}):
         figures[f"episode-{number}"] = lambda number=number: replay(record, number)  # type: ignore[misc]
-    if others:
-        figures["comparison"] = lambda: compare([record, *others])
     files = []
     for name, draw in figures.items():
         files.append(folder / f"{name}.png")

@@ -8,7 +8,7 @@ import pytest
 
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.units import degrees_of, radians_of
-from steerkit.learning.pictures.policy import course_angle, policy_map, q_slices, q_values, states
+from steerkit.learning.pictures.policy import course_angle, policy_map, q_values, states
 from steerkit.learning.pictures.run import Record
 from steerkit.scenario import Scenario
 
@@ -81,4 +81,4 @@ def test_the_map_shows_the_action_that_the_policy_takes(record: Record) -> None:
 
 def test_a_policy_without_nets_has_nothing_to_show() -> None:
     with pytest.raises(ValueError, match="the policy has no nets"):
-        q_slices(NfqPolicy(), Scenario())
+        policy_map(NfqPolicy(), Scenario())
