@@ -22,7 +22,6 @@ from steerkit.plots.style import PALETTE, new_figure, styled
 from steerkit.task import DT
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 METRICS = {metric.name: metric for metric in TABLE if metric.group in ("tracking", "steering", "comfort")}
@@ -55,12 +54,6 @@ class Sweep:
         less = metric not in METRICS or METRICS[metric].lower_is_better
         row = int(np.nanargmin(column) if less else np.nanargmax(column))
         return {name: float(values[row]) for name, values in self.columns.items()}
-
-    def frame(self) -> pd.DataFrame:
-        """A row a drive. Needs pandas (extra `bench`)."""
-        import pandas as pd
-
-        return pd.DataFrame(self.columns)
 
     @styled
     def plot(self) -> Figure:

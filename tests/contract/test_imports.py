@@ -53,7 +53,7 @@ AT_HOME = {
     "casadi": {"compiled", "diagram.maths", "analysis", "controllers.mpc"},
     "control": {"analysis"},
     "matplotlib": {"plots", "learning.pictures"},
-    "pandas": {"diagram.simulation", "scenario.sweep"},
+    "pandas": {"diagram.simulation"},
     "pyarrow": {"diagram.simulation", "logs.tables", "export.minari"},
     "typer": {"cli"},
     "onnx": {"export.onnx"},

@@ -133,7 +133,6 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "frame": lambda: painted().figure,
     "map": lambda: policy.policy_map(NFQ, SCENARIO, visited=SEEN),
     "curve": lambda: run.learning_curve(RECORD),
-    "failures": lambda: run.failure_map(RECORD),
     "log's drive": lambda: told(DRIVEN),
     "log without a drive": lambda: told(None),
     "resimulated": lambda: compared(AGAIN),

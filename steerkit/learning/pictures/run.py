@@ -126,35 +126,6 @@ def learning_curve(record: Record) -> Figure:
     return figure
 
 
-@styled
-def failure_map(record: Record) -> Figure:
-    """Where on the course the recovery controller had to take over, and how sharp the bend was there."""
-    at, log, line = record.failed_at, record.log, record.path.samples
-    title = f"{record.name}: {len(at)} failures"
-    figure, (course, bends, when) = new_figure(2, title=title, map_beside=True, height=5.2)
-    course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["grid"], lw=5.0, solid_capstyle="round", zorder=1)
-    course.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["muted"], lw=0.7, zorder=2)
-    course.plot(*line.xy[0], "o", color=COLOURS["ink"], ms=5, zorder=3)
-    course.annotate("start", line.xy[0], xytext=(6, -11), textcoords="offset points", fontsize=8, color=COLOURS["ink"])
-    look: dict[str, Any] = dict(s=30, cmap="plasma_r", edgecolors=COLOURS["ink"], linewidths=0.5, zorder=4)
-    dots = look | {"c": log.t[at], "vmin": 0.0, "vmax": float(log.t[-1])}
-    shown = course.scatter(log["car.x"][at], log["car.y"][at], **dots)
-    course.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    figure.colorbar(shown, ax=course, label="driving time of the failure [s]", location="bottom", shrink=0.8, aspect=40)
-    bends.axhline(0.0, color=COLOURS["muted"], lw=0.7)
-    bends.plot(line.s, line.kappa, color=COLOURS["learned"], lw=1.1)
-    bends.scatter(log["path.s"][at], log["path.kappa"][at], **dots)
-    bends.set_ylabel("curvature [1/m], + = left")
-    for colour, mask, size in (("learned", record.learning, 1.5), ("analytic", ~record.learning, 5.0)):
-        when.plot(log["path.s"][mask], log.t[mask], ".", ms=size, mew=0, color=COLOURS[colour])
-    when.scatter(log["path.s"][at], log.t[at], **dots)
-    when.set(xlabel="s along the course [m]", ylabel="driving time [s]", xlim=(0.0, record.path.length))
-    for colour, label in (("learned", "learner steers"), ("analytic", "recovery steers")):
-        when.plot([], [], color=COLOURS[colour], lw=2.0, label=label)
-    when.legend(loc="upper left", ncols=2)
-    return figure
-
-
 def replay(record: Record, number: int) -> Figure:
     """Episode `number` (from 1): on the map, e, wheel and lateral acceleration.
 
@@ -184,7 +155,6 @@ def draw_all(place: str | FilePath, out: str | FilePath | None = None) -> list[F
     figures: dict[str, Callable[[], Figure]] = {
         "policy-map": lambda: policy_map(record.policy, scenario, visited=record.transitions, v=v, title=record.name),
         "learning-curve": lambda: learning_curve(record),
-        "failures": lambda: failure_map(record),
     }
     lengths = [record.ended(episode) - episode.began for episode in record.episodes]
     failed = [k for k, episode in enumerate(record.episodes, start=1) if episode.failed]

@@ -11,7 +11,7 @@ import pytest
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
-from steerkit.learning.pictures.run import Record, draw_all, failure_map, replay
+from steerkit.learning.pictures.run import Record, draw_all, replay
 from tests.support.short_run import FAST
 
 
@@ -58,12 +58,12 @@ def test_a_replay_shows_its_episode(record: Record) -> None:
 
 
 def test_all_pictures_of_a_run_are_drawn(kept: Path, tmp_path: Path) -> None:
-    always = ["policy-map", "learning-curve", "failures"]
+    always = ["policy-map", "learning-curve"]
     learn(Experiment(setting=FAST, minutes=0.005), tmp_path / "new")
-    assert [file.stem for file in draw_all(tmp_path / "new")][:3] == always  # it has just begun
+    assert [file.stem for file in draw_all(tmp_path / "new")][:2] == always  # it has just begun
     files = draw_all(kept, tmp_path / "out")
     names = [file.stem for file in files]
-    assert names[:3] == always
+    assert names[:2] == always
     assert any(name.startswith("episode-") for name in names)
     assert all(file.read_bytes()[:4] == b"\x89PNG" for file in files)
 
@@ -74,4 +74,3 @@ def test_an_episode_that_ended_otherwise_is_no_failure(record: Record) -> None:
     assert record.episodes[0].failed
     assert len(carried.failed_at) == len(record.failed_at) - 1
     np.testing.assert_array_equal(carried.failed_at, record.failed_at[1:])
-    assert f"{len(record.failed_at) - 1} failures" in failure_map(carried).get_suptitle()
