@@ -11,6 +11,7 @@ import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike, NDArray
 
 from steerkit._support.errors import require
+from steerkit._support.quantities import QUANTITIES
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import RAD_PER_DEG
 from steerkit.logs.channels import Array
@@ -18,7 +19,7 @@ from steerkit.paths.waypoints import east_north, stray_ends
 
 PAUSE = 0.25
 """From this time on without a sample [s], or five of its usual steps, a channel pauses."""
-PLACES = ("x", "y")
+PLACES = ("x", "y", "v_y", "throttle")
 """Quantities that a drive can be without: where they are not known they are NaN, and no row is lost for them."""
 
 
@@ -201,6 +202,10 @@ class Drive:
     """Where the car was, east or as the log has it (n,) [m]; NaN where not known, None where the log has none."""
     y: Array | None = None
     """The same, north."""
+    v_y: Array | None = None
+    """Lateral velocity of the centre of gravity, + = left (n,) [m/s]; None where the log has none."""
+    throttle: Array | None = None
+    """What the drive was asked for, as the log has it, < 0 brakes (n,) [1]; None where the log has none."""
     commanded: bool = False
     """Is delta_sw what the steering was asked for, by its channel's name? Else it counts as what the wheel did."""
     notes: tuple[str, ...] = ()
@@ -227,8 +232,8 @@ class Drive:
     def to_log(self) -> Log:
         """The drive as a Log: `save` writes it as .csv, .npz or .parquet, which `read_drive` reads again."""
         signals = {"delta_sw": self.delta_sw, "v": self.v, "r": self.r}
-        signals |= {key: value for key, value in vars(self).items() if key in ("psi", "x", "y") and value is not None}
-        units = {"delta_sw": "rad", "v": "m/s", "r": "rad/s", "psi": "rad", "x": "m", "y": "m"}
+        signals |= {key: value for key, value in vars(self).items() if key in ("psi", *PLACES) and value is not None}
+        units = QUANTITIES
         return Log(self.t, signals, {key: units[key] for key in signals})
 
     @classmethod
@@ -275,7 +280,7 @@ class Drive:
             notes=tuple(remarks),
             digest=digest,
             commanded=commanded,
-            **{key: even[key] for key in ("delta_sw", "v", "psi", "x", "y") if key in even},
+            **{key: even[key] for key in ("delta_sw", "v", "psi", *PLACES) if key in even},
         )
         seconds = float(np.sum(drive.driving)) * dt
         require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
