@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 from scipy.special import stdtrit
 
 from steerkit._support.errors import known as known_name
 from steerkit._support.errors import require, require_within
+from steerkit.identification.ahead import arm_of, measured_way
 from steerkit.identification.fit import Estimate, Prior
 from steerkit.logs.drive import Array, Drive
 from steerkit.vehicles import G, Vehicle, vehicle
+from steerkit.vehicles.rollout import Rollout
 
 PIECE, PIECES = 2.0, 200
 """Length of the pieces that are simulated, each from a start of its own [s], and how many at most."""
@@ -27,6 +30,8 @@ _LOGS = ("c_", "mu")  # of these the logarithm is fitted
 _FINEST = 1e-3  # no signal is better than so much of itself: what the model leaves then is not noise
 _WINDOW = 1.0  # over which speeds are compared for the drivetrain [s]
 _PEDAL = {"throttle_gain": ("m/s^2", 20.0), "rolling": ("m/s^2", 1.0), "drag": ("1/m", 0.05)}  # unit, prior deviation
+Slopes = Callable[[float, Any, Any, Any, Any], tuple[Any, Any]]
+"""(time since the start, v_x, delta, v_y, r) to (v_y', r')."""
 
 
 def pacejka(alpha: Any, c: Any, peak: Any, shape: Any, curvature: Any) -> Any:
@@ -50,10 +55,8 @@ def accelerations(base: Vehicle, theta: Mapping[str, Any], v_x: Any, delta: Any,
     return (front + rear) / base.m - v_x * r, (base.l_f * front - base.l_r * rear) / base.i_z
 
 
-def rolled(
-    slopes: Callable[[Any, Any, Any, Any], tuple[Any, Any]], dt: float, v_x: Any, delta: Any, start: Array
-) -> Array:
-    """(v_y, r) (2, n + 1, ...) by slopes(v_x, delta, v_y, r), from the start (2, ...) on; Runge-Kutta.
+def rolled(slopes: Slopes, dt: float, v_x: Any, delta: Any, start: Array) -> Array:
+    """(v_y, r) (2, n + 1, ...) by slopes, from the start (2, ...) on; Runge-Kutta.
 
     v_x, delta: (n + 1, ...), linear between samples.
     """
@@ -62,7 +65,7 @@ def rolled(
     for k in range(len(v_x) - 1):
         for part in range(parts):
             u = [
-                (v_x[k] + s * (v_x[k + 1] - v_x[k]), delta[k] + s * (delta[k + 1] - delta[k]))
+                (k * dt + s * dt, v_x[k] + s * (v_x[k + 1] - v_x[k]), delta[k] + s * (delta[k + 1] - delta[k]))
                 for s in np.array([part, part + 0.5, part + 1.0]) / parts
             ]
             k1 = np.array(slopes(*u[0], *x))
@@ -71,6 +74,22 @@ def rolled(
             x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + np.array(slopes(*u[2], *(x + h * k3))))
         states.append(x)
     return np.stack(states, axis=1)
+
+
+class Scene(NamedTuple):
+    """What a model of tyres needs of a drive."""
+
+    dt: float
+    v_x: Array
+    """(n,) [m/s]"""
+    delta: Array
+    """Road wheels' angle as the car has it at each sample: late, its zero corrected (n,) [rad]."""
+    motion: Array
+    """v_y of the centre of gravity, where no log says it the steady one, NaN where it is not known, and r (2, n)."""
+    seen: bool
+    """Was v_y measured?"""
+    arm: float
+    """How far ahead of the centre of gravity v_y was measured [m]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,14 +110,31 @@ class Tyres:
         by_name = {estimate.name: estimate for estimate in self.estimates}
         return by_name[known_name(name, by_name, "estimate")]
 
-    def slopes(self, v_x: Any, delta: Any, v_y: Any, r: Any) -> tuple[Any, Any]:
+    def slopes(self, t: float, v_x: Any, delta: Any, v_y: Any, r: Any) -> tuple[Any, Any]:
         """(v_y', r') at a road-wheel angle delta [rad]; see `accelerations`."""
         return accelerations(self.vehicle, self.theta, v_x, delta, v_y, r)
 
+    def scene(self, drive: Drive) -> Scene:
+        """Any drive of this car. By position v_y is measured where its steady part fits on average, as `look_ahead`."""
+        rate = drive.r - (0.0 if drive.calibrated else self.theta["rate_zero"])
+        v_y = measured_way(drive, rate)[2]
+        slides = self.vehicle.l_r - Rollout.of(self.vehicle).rear_slip * drive.v**2
+        side, arm = slides * rate if v_y is None else v_y, 0.0
+        if v_y is not None and drive.v_y is None:
+            arm = arm_of(drive, rate, v_y - slides * rate)
+        v_x = forward(drive, v_y)
+        return Scene(
+            drive.dt, v_x, _delta(drive, self.theta), np.stack((side - arm * rate, rate)), v_y is not None, arm
+        )
 
-def identify_tyres(
-    drive: Drive, base: Vehicle | None = None, *, v_y: Array | None = None, fixed: Mapping[str, float] | None = None
-) -> Tyres:
+    def ahead(self, scene: Scene, starts: NDArray[np.intp], n: int, slopes: Slopes | None = None) -> Array:
+        """(v_y, r) (2, n + 1, N) from the measured starts on, v_x staying what it is; slopes: others than its own."""
+        at = starts + np.arange(n + 1)[:, None]
+        v_x = np.broadcast_to(scene.v_x[starts], at.shape)
+        return rolled(slopes or self.slopes, scene.dt, v_x, scene.delta[at], scene.motion[:, starts])
+
+
+def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[str, float] | None = None) -> Tyres:
     """Pacejka tyres, steering and drivetrain of a car from 20 s of driving or more, with 95 % intervals.
 
     The drive is cut into pieces of 2 s; each is simulated from a start of its own, v_y and r, which is found too:
@@ -111,15 +147,15 @@ def identify_tyres(
     over pieces. A drive with a throttle gives v' = throttle_gain u - rolling - drag v^2 - F_f sin(delta)/m, by the
     change of speed over 1 s; without one drag cannot be told from the engine, and is left out with a note.
 
-    base: mass, inertia, geometry as given (default: vw-passat). v_y: lateral velocity (n,) [m/s], NaN where not known
-    (default: the log's, else none: the yaw rate alone). fixed: parameters to hold, in SI. A mu of which the log tells
+    base: mass, inertia, geometry as given (default: vw-passat). v_y is the log's, or by position and
+    heading; without either the yaw rate tells alone. fixed: parameters to hold, in SI. A mu of which the log tells
     less than half is NaN: "not determined". Raises ValueError for a drive that is too short or straight.
 
     Source: Bock 1983 (multiple shooting); Ljung 1999, section 7.2; Pacejka 2012, section 4.3.
     """
     base = base or vehicle("vw-passat")
     require(drive.turns, drive.name, "it hardly turns: a drive straight on determines nothing of the tyres; add bends")
-    v_y = drive.v_y if v_y is None else v_y
+    v_y = measured_way(drive, drive.r)[2]
     table = priors(base, drive, v_y)
     for name, value in (fixed or {}).items():
         known_name(name, table, "parameter of identify_tyres")
@@ -150,7 +186,8 @@ def identify_tyres(
             if learned < 0.5:
                 ends, note = np.full(3, np.nan), f"not determined: {note}, hardly beyond the linear range"
                 unknown.append(name)
-        rows.append(Estimate(name, *map(float, ends), table[name].unit, learned, note))
+        value, low, high = map(float, ends)
+        rows.append(Estimate(name, value, low, high, table[name].unit, learned, note))
     notes = [f"{', '.join(unknown)}: not determined, slip stays in the tyres' linear range; drive harder"] * bool(
         unknown
     )
@@ -188,7 +225,7 @@ def _drivetrain(drive: Drive, base: Vehicle, theta: Mapping[str, float], notes: 
         covariance = np.maximum(bread, bread @ (scores.T @ scores + prior) @ bread)
     half = float(stdtrit(max(len(b) - 3, 1), 0.975)) * np.sqrt(np.diag(covariance))
     return [
-        Estimate(name, *map(float, (x, x - h, x + h)), unit, max(0.0, 1.0 - float(c) / deviation**2))
+        Estimate(name, float(x), float(x - h), float(x + h), unit, max(0.0, 1.0 - float(c) / deviation**2))
         for (name, (unit, deviation)), x, h, c in zip(_PEDAL.items(), found, half, np.diag(covariance))
     ]
 
@@ -272,7 +309,7 @@ class _Pieces:
         theta = self.named(x)
         delta = np.stack([_delta(self.drive, self.named(one))[self.at] for one in x.T], axis=-1)
         way = rolled(
-            lambda *state: accelerations(self.base, theta, *state), self.drive.dt, self.v_x[..., None], delta, starts
+            lambda t, *state: accelerations(self.base, theta, *state), self.drive.dt, self.v_x[..., None], delta, starts
         )
         said = np.stack(
             (way[0] + theta["arm"] * way[1] + theta["slip_zero"] * self.v_x[..., None], way[1] + theta["rate_zero"])
