@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +20,7 @@ from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
 from steerkit.cli.options import Picture, Report, written
 from steerkit.cli.page import write_page
 from steerkit.identification.ahead import HORIZONS, QUANTITIES, look_ahead
+from steerkit.identification.fit import intervals
 from steerkit.plots.style import save
 from steerkit.vehicles import scaled, vehicle
 
@@ -37,6 +39,9 @@ def identify(
     wheelbase: Annotated[float | None, typer.Option(help="Wheelbase, in m, if not the base's.")] = None,
     mass: Annotated[float | None, typer.Option(help="Mass, in kg, if not the base's.")] = None,
     fix: Annotated[list[str] | None, typer.Option(help="NAME=VALUE: hold a parameter; repeatable.")] = None,
+    tyres: Annotated[
+        bool, typer.Option("--tyres", help="Fit Pacejka tyres too, learn a residual beside them, judge both.")
+    ] = False,
     name: Annotated[str, typer.Option(help="Name of the car in the file.")] = "",
     out: Annotated[Path | None, written("Vehicle file to write, else it is printed", ".toml")] = None,
     plot: Picture = None,
@@ -79,9 +84,11 @@ def identify(
             prediction = identified.predict(other)
             if other.turns:
                 agrees = identified.against(ident.identify(other, car, fixed=_fixed(fix or ())))
-        ahead = look_ahead(identified, judged)
+        grip = ident.identify_tyres(drive, car, fixed=_steering(fix)) if tyres else None
+        residual = ident.learn_residual(grip, drive) if grip else None
+        ahead = look_ahead(identified, judged, grip, residual)
     command = " ".join(["steerkit", *sys.argv[1:]])
-    _report(console, identified, prediction, ahead, quiet=quiet)
+    _report(console, identified, prediction, ahead, grip, residual, quiet=quiet)
     if agrees:
         console.print(escape(agrees), highlight=False, soft_wrap=True)
     if out is not None:
@@ -106,20 +113,29 @@ def identify(
             "ahead": {"seconds": HORIZONS} | asdict(ahead),
             "notes": [*identified.drive.notes, *identified.notes, *filter(None, [agrees])],
         }
+        if grip and residual:
+            learned = {"share": residual.share, "gain": residual.gain}
+            answer["tyres"] = {"estimates": intervals(grip.estimates), "notes": grip.notes, "residual": learned}
         for word, fit in fits.items():
             answer[word] = {"drive": fit.drive.name} | {key: getattr(fit, key) for key in _FITS}
         print(json.dumps(answer))
 
 
-def _report(console: Any, identified: Any, prediction: Any, ahead: Any, *, quiet: bool) -> None:
+def _report(
+    console: Any, identified: Any, prediction: Any, ahead: Any, grip: Any, residual: Any, *, quiet: bool
+) -> None:
     if not quiet:
         for part in (identified.fit, *([prediction] if prediction else ())):
             for note in part.drive.notes:
                 console.print(f"{part.drive.name}: {escape(note)}", soft_wrap=True, highlight=False)
-    table = Table("parameter", "value", "95 % interval", "unit", "source", "", title=f"{identified.vehicle.name}")
-    for e in identified.estimates:
-        table.add_row(e.name, f"{e.value:.4g}", escape(f"[{e.low:.4g}, {e.high:.4g}]"), e.unit, e.source, e.note)
-    console.print(table)
+    for what, found in ((identified.vehicle.name, identified), ("Pacejka tyres", grip)):
+        table = Table("parameter", "value", "95 % interval", "unit", "source", "", title=what)
+        for e in found.estimates if found else ():
+            known = math.isfinite(e.value)
+            ends = (f"{e.value:.4g}", escape(f"[{e.low:.4g}, {e.high:.4g}]")) if known else ("-", "-")
+            table.add_row(e.name, *ends, e.unit, e.source, e.note)
+        if found:
+            console.print(table)
     fits = Table("yaw rate of", "RMS \\[rad/s]", "from 3 m/s on", "mean", "wheel's zero found anew")
     for part in (identified.fit, *([prediction] if prediction else ())):
         fits.add_row(part.drive.name, *(f"{getattr(part, key):.5f}" for key in _FITS[:4]))
@@ -132,9 +148,17 @@ def _report(console: Any, identified: Any, prediction: Any, ahead: Any, *, quiet
     if ahead.errors:
         console.print(errors)
     console.print(f"ahead: {escape(ahead.note)}", highlight=False, soft_wrap=True)
+    if residual:
+        parts = ", ".join(f"{name} {ratio:.2f}" for name, ratio in residual.gain.items())
+        console.print(f"residual: {residual.share:.2f} of it, error 0.5 s ahead on parts held out times {parts}")
     if not quiet:
-        for note in identified.notes:
+        for note in (*identified.notes, *(grip.notes if grip else ())):
             console.print(escape(note), highlight=False, soft_wrap=True)
+
+
+def _steering(words: list[str] | None) -> dict[str, float]:
+    """Of what is held, what the tyres' model has too: its delay is both of the other's."""
+    return {key: value for key, value in _fixed(words or ()).items() if key in ("steer_ratio", "offset", "rate_zero")}
 
 
 def _fixed(words: list[str] | tuple[str, ...]) -> dict[str, float]:

@@ -3,11 +3,15 @@
 drive = read_drive("lap.mat", ColumnMap.load("lap.toml"))
 found = identify(drive, base=vehicle("vw-passat"))
 found.save("my-car.toml")            # vehicle("my-car.toml") is the car
+tyres = identify_tyres(drive, vehicle("vw-passat"))   # Pacejka's
+residual = learn_residual(tyres, drive)
 """
 
 from __future__ import annotations
 
 from steerkit.identification.fit import identify
+from steerkit.identification.residual import learn_residual
+from steerkit.identification.tyres import identify_tyres
 from steerkit.logs import Drive, read_drive, shipped_drives
 
-__all__ = ["Drive", "identify", "read_drive", "shipped_drives"]
+__all__ = ["Drive", "identify", "identify_tyres", "learn_residual", "read_drive", "shipped_drives"]

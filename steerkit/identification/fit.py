@@ -6,7 +6,7 @@ That is: estimates, the car they make, and how well it predicts a drive.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -128,6 +128,12 @@ class Estimate:
         return "log" if self.learned > 0.9 else "log and prior" if self.learned > 0.5 else "prior"
 
 
+def intervals(estimates: Iterable[Estimate]) -> dict[str, dict[str, Any]]:
+    """Value, 95 % interval, unit and source of each by name; None for a number that was not determined."""
+    keys = ("value", "low", "high", "unit", "source")
+    return {e.name: {key: None if (x := getattr(e, key)) != x else x for key in keys} for e in estimates}
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prediction:
     """A drive's yaw rate as the identified car has it, next to the measured one."""
@@ -199,8 +205,7 @@ class Identified:
     @property
     def intervals(self) -> dict[str, dict[str, Any]]:
         """Value, 95 % interval, unit and source of each estimate."""
-        keys = ("value", "low", "high", "unit", "source")
-        return {e.name: {key: getattr(e, key) for key in keys} for e in self.estimates}
+        return intervals(self.estimates)
 
     def save(self, file: str | Path, *, command: str = "", held_out: Prediction | None = None) -> None:
         """Write the vehicle file; `vehicle(file)` and `steering_of(file)` read it."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.special import stdtrit
 
 from steerkit._support.errors import require
@@ -93,10 +94,11 @@ def learn_residual(tyres: Tyres, drive: Drive) -> Residual:
 
         (v_y', r') = tyres + share fade W features,
 
-    W minimises the errors 0.2, 0.5 and 1 s ahead of many starts, linearised about the tyres' roll-out, by ridge
-    regression. What depends on the state, and the share, are chosen on eighths of the drive held out in turn: the
-    state enters where that is better by a standard error in all, the share is the lower 95 % bound of the best one, and
-    0 where any quantity gets worse. fade: 1 within the data, less by the square of the distance beyond.
+    W minimises the errors of v_y, r and lateral displacement 0.2, 0.5, 1 and 2 s ahead of many starts, linearised about
+    the tyres' roll-out, by ridge regression. Two features are what the last half second showed; those of the state, and
+    the share, are chosen on eighths of the drive held out in turn: the state enters where all three get better with
+    95 % confidence, the share is the lower 95 % bound of the best one, and 0 where one of the three gets worse, half a
+    second ahead or over all. White noise in v_y and r makes it a filter too: what was predicted corrects the start.
 
     Raises ValueError for a drive with less than eight seconds in a row of 1.5 s. Source: Hoerl, Kennard 1970.
     """
@@ -109,10 +111,12 @@ def learn_residual(tyres: Tyres, drive: Drive) -> Residual:
     require(enough >= BLOCKS, drive.name, f"{enough:.0f} s to learn a residual from, expected {BLOCKS} s or more")
     starts = starts[:: math.ceil(len(starts) / STARTS)]
     before, way = missed(tyres, scene, starts), tyres.ahead(scene, starts, n)
-    ends = [round(horizon / dt) for horizon in HORIZONS]
-    error = scene.motion[:, starts + np.array(ends)[:, None]] - way[:, ends]  # (2, H, N)
-    quantities = [0, 1] if scene.seen else [1]
-    error, effect = error[quantities], _effects(tyres, scene, starts, way, before)[quantities][:, ends]
+    error = scene.motion[:, starts + np.arange(n + 1)[:, None]] - way  # (2, n + 1, N)
+    effect, v_x = _effects(tyres, scene, starts, way, before), scene.v_x[starts]
+    error, effect = _with_lateral(error, v_x, dt), _with_lateral(effect, v_x[:, None], dt)
+    quantities = {"v_y": 0, "r": 1, "lateral": 2} if scene.seen else {"r": 1}
+    ends = np.ix_(list(quantities.values()), [round(horizon / dt) for horizon in HORIZONS])
+    error, effect = error[ends], effect[ends]
     size = np.sqrt(np.mean(error**2, axis=-1, keepdims=True)) + 1e-12
     error, effect = error / size, effect / size[..., None]
     parts = np.array_split(np.arange(len(starts)), BLOCKS)
@@ -136,20 +140,25 @@ def learn_residual(tyres: Tyres, drive: Drive) -> Residual:
         for part in parts:
             others = np.concatenate((np.arange(max(0, part[0] - gap)), np.arange(part[-1] + gap, len(starts))))
             said[..., part] = effect[:, :, part] @ solved(others, ridge)
-        costs = np.array([np.sum((error - said)[..., part] ** 2) for part in parts])
+        costs = np.array([np.sum((error - said)[..., part] ** 2, axis=(1, 2)) for part in parts])  # (parts, quantities)
         better = left - costs if len(left) else costs
-        if not len(left) or np.mean(better) > sure * np.std(better, ddof=1) / math.sqrt(BLOCKS):
+        if not len(left) or (better.mean(axis=0) > sure * better.std(axis=0, ddof=1) / math.sqrt(BLOCKS)).all():
             chosen, left, kept = ridge, costs, said
     along, square = (np.array([np.sum((a * kept)[..., part]) for part in parts]) for a in (error, kept))
     without = (along.sum() - along) / np.maximum(square.sum() - square, 1e-300)
     deviation = math.sqrt((BLOCKS - 1) * float(np.var(without)))
     share = float(np.clip(along.sum() / max(square.sum(), 1e-300) - sure * deviation, 0.0, 1.0))
-    ratio = np.sqrt(np.mean((error - share * kept) ** 2, axis=-1) / np.mean(error**2, axis=-1))
-    share *= bool((ratio <= 1.0).all())
+    after = (error - share * kept) ** 2
+    at = HORIZONS.index(0.5)
+    ratio = np.sqrt(np.mean(after[:, at], axis=1) / np.mean(error[:, at] ** 2, axis=1))
+    if (ratio > 1.0).any() or (np.sum(after, axis=(1, 2)) > np.sum(error**2, axis=(1, 2))).any():
+        share, ratio = 0.0, np.ones(len(ratio))
     weighed = np.append(~state[:k] | math.isfinite(chosen), True)
-    at = _at(scene, starts, before) * weighed
-    centre = np.append(np.zeros(k), at[:, -1].mean())  # left and right are alike
-    spread = np.linalg.pinv((at - centre).T @ (at - centre) / len(at), rcond=1e-8, hermitian=True)
+    seen = _at(scene, starts, before) * weighed
+    centre = np.append(np.zeros(k), seen[:, -1].mean())  # left and right are alike
+    moments = (seen - centre).T @ (seen - centre) / len(seen)
+    moments[:k, k] = moments[k, :k] = 0.0
+    spread = np.linalg.pinv(moments, rcond=1e-8, hermitian=True)
     return Residual(
         tyres=tyres,
         weights=(solved(np.arange(len(starts)), chosen) / scale).reshape(2, k),
@@ -157,11 +166,16 @@ def learn_residual(tyres: Tyres, drive: Drive) -> Residual:
         weighed=weighed,
         centre=centre,
         spread=spread,
-        reach=float(np.quantile(_distance(at, centre, spread), _QUANTILE)),
-        gain=dict(
-            zip(("v_y", "r")[-len(quantities) :], map(float, ratio[:, HORIZONS.index(0.5)] if share else (1.0, 1.0)))
-        ),
+        reach=float(np.quantile(_distance(seen, centre, spread), _QUANTILE)),
+        gain=dict(zip(quantities, map(float, ratio))),
     )
+
+
+def _with_lateral(ways: Array, v_x: Array, dt: float) -> Array:
+    """(3, n + 1, ...): of v_y and r (2, n + 1, ...) the lateral displacement too, to first order [m]."""
+    turned = cumulative_trapezoid(ways[1], dx=dt, axis=0, initial=0.0)
+    aside = cumulative_trapezoid(ways[0] + v_x * turned, dx=dt, axis=0, initial=0.0)
+    return np.concatenate((ways, aside[None]))
 
 
 def _effects(tyres: Tyres, scene: Scene, starts: NDArray[np.intp], way: Array, before: Array) -> Array:

@@ -154,6 +154,9 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
     Source: Bock 1983 (multiple shooting); Ljung 1999, section 7.2; Pacejka 2012, section 4.3.
     """
     base = base or vehicle("vw-passat")
+    for name in ("delta_sw", "v", "r"):
+        lost = int(np.sum(~np.isfinite(getattr(drive, name))))
+        require(lost == 0, drive.name, f"{name} is not finite in {lost} samples; Drive.of leaves them out")
     require(drive.turns, drive.name, "it hardly turns: a drive straight on determines nothing of the tyres; add bends")
     v_y = measured_way(drive, drive.r)[2]
     table = priors(base, drive, v_y)
@@ -179,7 +182,8 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
     used = float(np.quantile(np.abs(pieces.v_x * pieces.measured[1]), 0.99)) / G
     rows, unknown = [], []
     for name, at, deviation, prior in zip(pieces.free, x, deviations, pieces.deviation):
-        ends = _named({name: np.array([at, at - factor * deviation, at + factor * deviation])})[name]
+        span = np.clip(at + factor * deviation * np.array([0.0, -1.0, 1.0]), table[name].low, table[name].high)
+        ends = _named({name: span})[name]
         learned, note = max(0.0, 1.0 - float(deviation / prior) ** 2), ""
         if name[:3] == "mu_":
             note = f"the log used {used:.2f}"

@@ -25,7 +25,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> N
     page = tmp_path / "page.html"
     answer = cli("identify", *words, "--out", out, "--plot", picture, "--report", str(page), "--json").json
     ahead = answer["ahead"]
-    assert (ahead["seconds"], list(ahead["errors"])) == ([0.2, 0.5, 1.0, 2.0], ["v_x", "longitudinal", "lateral"])
+    assert (ahead["seconds"], list(ahead["errors"])) == ([0.2, 0.5, 1.0, 2.0], ["v_x", "r", "longitudinal", "lateral"])
     lateral = ahead["errors"]["lateral"]
     assert lateral["model"][-1] < lateral["kinematics"][-1] < lateral["persistence"][-1]
     assert "v_y is not in the log" in ahead["note"]

@@ -54,7 +54,8 @@ KEYS = {
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
     "scoreboard": (
         "agents_x_model_free agents_x_same_model computing_seconds good_seconds good_share "
-        "lat_cost lat_cost_laps lat_interval lat_interval_laps"
+        "lat_cost lat_cost_laps lat_interval lat_interval_laps residual_worst residual_x_model sysid_coverage_pct "
+        "sysid_seconds sysid_x_nls sysid_x_nls_filtered"
     ),
     "sweep": "best compile_seconds cores drive_seconds gains seconds",
     "throughput": (
@@ -203,6 +204,7 @@ def sensible(name: str, f: Any) -> None:
             assert 0.0 < f["good_seconds"]["default"] <= 12.0
             assert f["lat_cost"].keys() >= {"pid", "lqr", "mpc", "lqr-learned", "mpc-learned"}
             assert 0.0 < f["lat_cost"]["mpc"] <= f["lat_interval"]["mpc"][1]
+            assert 0.0 < f["sysid_x_nls"] < 0.4 < f["residual_worst"] <= 1.02
         case "sweep":
             assert (f["gains"], f["drive_seconds"]) == (20, 5.0)
             assert f["best"]["max_e"] < 1e-9  # the course begins straight
