@@ -111,7 +111,7 @@ def learn_residual(tyres: Tyres, drive: Drive) -> Residual:
     require(enough >= BLOCKS, drive.name, f"{enough:.0f} s to learn a residual from, expected {BLOCKS} s or more")
     starts = starts[:: math.ceil(len(starts) / STARTS)]
     before, way = missed(tyres, scene, starts), tyres.ahead(scene, starts, n)
-    error = scene.motion[:, starts + np.arange(n + 1)[:, None]] - way  # (2, n + 1, N)
+    error: Array = scene.motion[:, starts + np.arange(n + 1)[:, None]] - way  # (2, n + 1, N)
     effect, v_x = _effects(tyres, scene, starts, way, before), scene.v_x[starts]
     error, effect = _with_lateral(error, v_x, dt), _with_lateral(effect, v_x[:, None], dt)
     quantities = {"v_y": 0, "r": 1, "lateral": 2} if scene.seen else {"r": 1}
