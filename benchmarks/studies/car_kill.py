@@ -151,7 +151,7 @@ class Bench:
             process.wait(20.0)
         row["ok_bus"] = row["silent_after_ms"] <= 1e3 * LIMIT and row["heard_before_ms"] < 50.0  # it did steer
         row |= self._recording(cut=victim == "server")
-        store = TransitionStore(self.folder / "run" / "transitions.rows").transitions()
+        store = TransitionStore(self.folder / "run" / "transitions.db").transitions()
         row |= {"committed": state["committed"], "rows": len(store), "ok_store": len(store) >= state["committed"]}
         after_all = self.up()
         row["ok_resumed"] = after_all["began"] >= state["committed"] and after_all["net"] >= before["net"]

@@ -4,7 +4,7 @@ The story is that of a run in simulation (`steerkit.learning.learner_state`); wh
 engage, how far to drive) is not repeatable, so there is no checkpoint of the loop. The run directory holds::
 
     car.json            the setting
-    transitions.rows    the transition store
+    transitions.db      the transition store
     nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net); never changed, as recordings refer to them
 """
 
@@ -89,7 +89,7 @@ class CarLearner(contextlib.ExitStack):
     def _begin(self, config: CarConfig, path: Path, seed: int, clock: Callable[[], float] | None) -> None:
         setting, place = self.setting, self.place
         _claim(place, setting)
-        self.store = TransitionStore(place / "transitions.rows", run=RUN, names=setting.recorded())
+        self.store = TransitionStore(place / "transitions.db", run=RUN, names=setting.recorded())
         self.callback(self.store.close)
         saved = sorted((place / "nets").glob("net-*.npz"))
         net = int(saved[-1].stem.split("-")[1]) if saved else 0

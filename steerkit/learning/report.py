@@ -23,6 +23,7 @@ from steerkit.learning import rundir
 from steerkit.learning.data.distance import Distance, states_of
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learn import learn
+from steerkit.learning.pictures.data import beside_the_data
 from steerkit.plots.drive import learning, round_driven
 from steerkit.plots.style import save
 from steerkit.scenario import drive as evaluate
@@ -228,6 +229,9 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     if len(run.transitions):
         apart = distance_to(run, logs["learned"], "the final net's drive")
         far = {"distance": apart.figures()}
+        pictures["data"] = beside_the_data(
+            run.transitions, logs["learned"], apart, title=f"{place.name}: its data, and a drive"
+        )
         console.print(f"this drive's {apart}", soft_wrap=True, highlight=False)
     for file, figure in pictures.items():
         save(figure, place / f"{file}.png")

@@ -285,6 +285,7 @@ class Drive:
         seconds = float(np.sum(drive.driving)) * dt
         require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
         if not trusted:
+            _check_speeds_unit(drive, t)
             _check_plausible(drive)
         more = [_late(drive)] if drive.turns else [_STRAIGHT]
         return replace(drive, notes=(*drive.notes, *filter(None, more)))
@@ -482,6 +483,39 @@ def _yaw_rate(
     if abs(bias) > 2e-4:
         remarks.append(f"yaw rate: {-bias:+.5f} rad/s, so that its mean is the heading's rate")
     return even["r"] / scale - bias, True, max(deviation, abs(gain / scale - 1.0))
+
+
+def _check_speeds_unit(drive: Drive, t: Array) -> None:
+    """ValueError where v changes between m/s and km/h while the car stands, or in a gap; t: of the rows [s].
+
+    By delta_sw = a r/v + b v r + c, linear least squares over the drive: it leaves 0.35 at most of what it leaves
+    with one unit, and a tenth of the wheel's variance, if v after one of the stops is taken in the other unit.
+    """
+    step = max(1, round(0.05 / drive.dt))
+    at = np.flatnonzero(drive.driving[::step]) * step
+    v, r, wheel = drive.v[at], drive.r[at], drive.delta_sw[at]
+    begins, enough = np.flatnonzero(np.diff(at) > step) + 1, 5.0 / (drive.dt * step)
+    begins = begins[(begins >= enough) & (len(at) - begins > enough)]
+    if not len(begins) or not drive.turns:
+        return
+
+    def left(factor: float = 1.0, k: int = 0) -> float:
+        """Squares that the line leaves [rad^2], with v times `factor` from sample k on."""
+        w = np.concatenate((v[:k], factor * v[k:]))
+        rows = np.column_stack((r / w, w * r, np.ones(len(w)), wheel))
+        g = rows.T @ rows
+        return float(g[3, 3] - g[3, :3] @ np.linalg.lstsq(g[:3, :3], g[:3, 3])[0])
+
+    least = min(0.35 * left(), 0.1 * len(wheel) * float(np.var(wheel)))
+    best, factor, k = min((left(factor, k), factor, k) for factor in (3.6, 1.0 / 3.6) for k in begins.tolist())
+    if best < least:
+        row = int(np.searchsorted(t - t[0], drive.t[at[k]]))
+        now, then = ("m/s", "km/h") if factor > 1.0 else ("km/h", "m/s")
+        raise ValueError(
+            f"{drive.name}: v goes with the wheel's angle and the yaw rate as if its unit changed from {then} to {now} "
+            f"at a stop before row {row} of numbers (t = {t[row]:.6g} s); split the file there, and read each part "
+            "with its own unit. To go on as it is: trusted=True (identify: --trust-units)"
+        )
 
 
 def _check_plausible(drive: Drive) -> None:

@@ -121,7 +121,11 @@ def _went_on(done: Done) -> None:
     assert 1.4 <= run["driving_minutes"] < 1.42, run
     assert run["updates"] + 1 == len(_nets(done.place)), "net 0 is the untrained one"
     assert (run["course"], run["setting"], run["seed"]) == ("yard.csv", "model-free", 1)
-    assert {file.name for file in (done.place / "runs" / "a").glob("*.png")} == {"learning.png", "round.png"}
+    assert {file.name for file in (done.place / "runs" / "a").glob("*.png")} == {
+        "learning.png",
+        "round.png",
+        "data.png",
+    }
 
 
 def _learned_longer(done: Done) -> None:

@@ -1,47 +1,139 @@
 """The transition store: what a car experienced, on disk within half a second, whole after any crash.
 
-A file of rows of one length under a line of JSON. `append` only puts a row into memory; a thread of the store's own
-appends to the file what has come in, four times a second, and waits for the disk: the thread can, the loop never does,
-and a car's power is cut as often as a process is killed. What a crash leaves half written stands at the end, and its
-checksum tells.
+One SQLite file in write-ahead mode. `append` only puts a row into memory; a thread of the store's own writes and
+commits what has come in, four times a second. Commits are synced to the disk (synchronous=FULL): the thread can wait
+for the disk, the loop never does, and a car's power is cut as often as a process is killed.
 """
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import json
 import math
 import os
+import sqlite3
 import struct
 import threading
 import time
 import warnings
 import weakref
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path as FilePath
 from typing import Any, Self
+from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
-from steerkit._support.files import read_bytes, write_text
 from steerkit.controllers.state_description import StateDescription
 from steerkit.learning.data.transitions import Transitions
 
-FORMAT = "steerkit transitions 4"
+APPLICATION, SCHEMA = 0x53746565, 3
+"""SQLite's application_id ("Stee") and user_version of a store."""
+RUN = 1
+"""The id of a file's run."""
+TABLES = (
+    "CREATE TABLE IF NOT EXISTS meta(key TEXT PRIMARY KEY, value TEXT NOT NULL)",
+    "CREATE TABLE IF NOT EXISTS run(id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE)",
+    # numbers: s, a, s_next, own (0 or 1) as little-endian doubles; crc: CRC-32 of them, begun with the episode
+    "CREATE TABLE IF NOT EXISTS transition(run INTEGER NOT NULL REFERENCES run, n INTEGER NOT NULL, "
+    "episode INTEGER NOT NULL, numbers BLOB NOT NULL, crc INTEGER NOT NULL, PRIMARY KEY(run, n)) WITHOUT ROWID",
+)
+Path = str | os.PathLike[str]
+Row = tuple[int, bytes, int]
+"""Episode, numbers, checksum."""
+
+
+class StoreError(ValueError):
+    """A store that cannot be used: damaged, foreign, of a newer schema or other names, or not writable."""
+
+
+@contextmanager
+def errors_of(path: FilePath) -> Iterator[None]:
+    """SQLite's errors as StoreError, with what to do."""
+    try:
+        yield
+    except sqlite3.OperationalError as why:
+        raise StoreError(f"{path}: {why}; another program may hold it, or the disk may be full") from why
+    except sqlite3.DatabaseError as why:
+        raise StoreError(f"{path}: damaged or not a transition store ({why}); use a copy, or a new file") from why
+
+
+def connect(path: FilePath, timeout: float = 5.0) -> sqlite3.Connection:
+    """A connection that makes no file, and waits for the disk at every commit."""
+    uri = f"file:{quote(str(path.absolute()))}?mode=rw"
+    db = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=timeout)
+    db.execute("PRAGMA synchronous = FULL")
+    return db
+
+
+@contextmanager
+def transaction(db: sqlite3.Connection) -> Iterator[sqlite3.Connection]:
+    """All that is written inside, or nothing; the write lock is taken at once, so that nothing comes in between."""
+    with db:
+        db.execute("BEGIN IMMEDIATE")
+        yield db
+
+
+@contextmanager
+def reading(path: FilePath) -> Iterator[sqlite3.Connection]:
+    """A connection of its own, for as long as the block runs."""
+    with errors_of(path), closing(connect(path)) as db:
+        yield db
+
+
+def opened(path: FilePath, names: Sequence[str] | None, run: str | None) -> tuple[str, ...]:
+    """The names of the store at `path`, checked to be ours, whole and of that run; a missing one is made for a run."""
+    if not path.exists() or path.stat().st_size == 0:
+        if run is None:
+            raise StoreError(f"{path}: there is no store; make one with TransitionStore(path, run='a label')")
+        path.touch()
+    with reading(path) as db:
+
+        def value(query: str) -> Any:
+            return db.execute(query).fetchone()[0]
+
+        application, schema = value("PRAGMA application_id"), value("PRAGMA user_version")
+        if not (application or schema or value("SELECT count(*) FROM sqlite_master")):  # also: killed in the making
+            if run is None:
+                raise StoreError(f"{path}: an empty file, not a transition store")
+            if value("PRAGMA journal_mode = WAL") != "wal":
+                raise StoreError(f"{path}: no write-ahead log on this file system; use a local disk")
+            with transaction(db):
+                for query in (f"PRAGMA application_id = {APPLICATION}", f"PRAGMA user_version = {SCHEMA}", *TABLES):
+                    db.execute(query)
+                columns = json.dumps(tuple(names or StateDescription().names))
+                db.execute("INSERT OR IGNORE INTO meta VALUES ('names', ?)", (columns,))
+        elif application != APPLICATION:
+            raise StoreError(f"{path}: an SQLite file of another program, not a transition store")
+        elif schema != SCHEMA:
+            reason = "a newer steerkit wrote it, update yours" if schema > SCHEMA else "use a new file"
+            raise StoreError(f"{path}: schema {schema}, expected {SCHEMA}: {reason}")
+        elif (check := value("PRAGMA quick_check(1)")) != "ok":
+            raise StoreError(f"{path}: damaged ({check}); use a copy, or a new file")
+        kept = tuple(json.loads(value("SELECT value FROM meta WHERE key = 'names'")))
+        if names is not None and tuple(names) != kept:
+            raise StoreError(
+                f"{path}: holds the columns {', '.join(kept)}, expected {', '.join(names)}; use a new file"
+            )
+        if run is not None:
+            with transaction(db):
+                db.execute("INSERT OR IGNORE INTO run VALUES (?, ?)", (RUN, run))
+        held = dict(db.execute("SELECT id, label FROM run"))
+    if held != {RUN: run} and (run is not None or len(held) > 1):
+        raise StoreError(f"{path}: holds the runs {[*held.values()]}, expected {run or 'one'}; use a new file")
+    return kept
+
+
+def checksum(episode: int, numbers: bytes) -> int:
+    """CRC-32 of a row."""
+    return zlib.crc32(numbers, episode & 0xFFFFFFFF)
+
+
 PERIOD = 0.25
 """Time between two commits while rows come in [s]; at most this much, and one commit, is lost by a kill."""
 PROMISE = 1.0
 """Age of an unwritten row from which the writer complains [s]."""
-
-TAIL = 200
-"""Rows at the end that may be broken by a crash, and are left out; more are damage: 10 s."""
-
-
-class StoreError(ValueError):
-    """A store that cannot be used: damaged, foreign, of another format, run or other names, or not writable."""
 
 
 class TransitionStore:
@@ -53,63 +145,19 @@ class TransitionStore:
 
     A kill of the process loses the rows of the last second at most; everything older is there, and the file opens
     again. Any number of stores may read a file while one writes to it. Close it, or use it in a `with`.
-    Raises StoreError for a file that is missing (without `run`), damaged, another program's, of another format, of
-    other names or another run, or that another store writes to.
+    Raises StoreError for a file that is missing (without `run`), damaged, cut short, another program's, of a newer
+    schema, of other names, or of another run.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, run: str | None = None, names: Sequence[str] | None = None):
+    def __init__(self, path: Path, *, run: str | None = None, names: Sequence[str] | None = None):
         self.path, self.run = FilePath(path), run
-        if run is not None and not (self.path.exists() and self.path.stat().st_size):
-            head = {"format": FORMAT, "run": run, "names": list(names or StateDescription().names)}
-            write_text(self.path, json.dumps(head) + "\n")
-        kept = self._head()
-        self.names = tuple(kept["names"])
-        same = names is None or tuple(names) == self.names
-        self._require(same, f"holds the columns {', '.join(self.names)}, expected {', '.join(names or ())}")
-        self._require(run in (None, kept["run"]), f"holds the run {kept['run']!r}, expected {run!r}")
-        n = len(self.names)
-        row = [("episode", "<i8"), ("s", "<f8", n), ("a", "<f8"), ("s_next", "<f8", n), ("own", "<f8")]
-        self._kind, self._pack = np.dtype([("row", row), ("crc", "<u4")]), struct.Struct(f"<q{2 * n + 2}d").pack
+        self.names = opened(self.path, names, run)
+        self._pack = struct.Struct(f"<{2 * len(self.names) + 2}d").pack
         self.writer: _Writer | None = None
         """What is `waiting` in it, and how many rows it has `committed`; None: the store is only read, or closed."""
         if run is not None:
-            self.writer = _Writer(self.path, lambda: self._begin + self._rows().nbytes)
+            self.writer = _Writer(self.path)
             self._end = weakref.finalize(self, _Writer.end, self.writer)  # also when the program ends unclosed
-
-    def _require(self, ok: bool, what: str) -> None:
-        if not ok:
-            raise StoreError(f"{self.path}: {what}; use a new file")
-
-    def _head(self) -> dict[str, Any]:
-        """What the file says of itself; where its rows begin is known then."""
-        if not self.path.exists():
-            raise StoreError(f"{self.path}: there is no store; make one with TransitionStore(path, run='a label')")
-        line, end, _ = read_bytes(self.path).partition(b"\n")
-        self._begin, self._seed = len(line) + len(end), zlib.crc32(line)
-        try:
-            head = json.loads(line)
-            self._require(head["format"] == FORMAT, f"format {head['format']!r}, expected {FORMAT!r}")
-            return {"run": str(head["run"]), "names": [str(name) for name in head["names"]]}
-        except (ValueError, TypeError, KeyError) as why:
-            if isinstance(why, StoreError):
-                raise
-            raise StoreError(f"{self.path}: damaged at its begin, or not a transition store; use a new file") from why
-
-    def _rows(self) -> NDArray[Any]:
-        """All rows, with their checksums; what a crash has left behind them is no row."""
-        data, size = read_bytes(self.path)[self._begin :], self._kind.itemsize
-        rows = np.frombuffer(data[: len(data) // size * size], self._kind)
-        broken = (
-            np.array([zlib.crc32(row.tobytes(), self._seed) for row in rows["row"]], dtype=np.uint32) != rows["crc"]
-        )
-        if not broken.any():
-            return rows
-        first = int(broken.argmax())
-        if len(rows) - first > TAIL or not broken[first:].all():
-            raise StoreError(f"{self.path}: transition {first} is damaged; use a copy")
-        text = f"{self.path}: the last {len(rows) - first} transitions were not wholly written, and are left out"
-        warnings.warn(text, RuntimeWarning, stacklevel=3)
-        return rows[:first]
 
     # ---- writing --------------------------------------------------------------------------------------------
 
@@ -129,8 +177,8 @@ class TransitionStore:
             columns = (*self.names, "a", *(f"{name}_next" for name in self.names))
             bad = next(f"{c} = {x}" for c, x in zip(columns, numbers) if not math.isfinite(x))
             raise ValueError(f"TransitionStore: {bad}, expected a finite number; end the episode before it")
-        row = self._pack(episode, *numbers, own)
-        self._writing().waiting.append(row + zlib.crc32(row, self._seed).to_bytes(4, "little"))
+        row = self._pack(*numbers, own)
+        self._writing().waiting.append((int(episode), row, checksum(int(episode), row)))
 
     def flush(self, timeout: float = 10.0) -> None:
         """Wait until all that was appended is on the disk; raises StoreError when it is not within `timeout` [s]."""
@@ -165,29 +213,33 @@ class TransitionStore:
 
     def next_episode(self) -> int:
         """The first episode number that the run has not used: where to go on counting."""
-        return int(self.transitions().episode.max(initial=-1)) + 1
+        with reading(self.path) as db:
+            (last,) = db.execute("SELECT max(episode) FROM transition").fetchone()
+        return 0 if last is None else last + 1
 
     def transitions(self) -> Transitions:
         """All committed transitions in the order of recording; raises StoreError for damaged rows."""
-        rows = self._rows()["row"]
-        return Transitions(self.names, *(rows[name] for name in ("s", "a", "s_next", "episode", "own")))
+        query = "SELECT episode, numbers, crc FROM transition WHERE run = ? ORDER BY n"
+        with reading(self.path) as db:
+            rows = db.execute(query, (RUN,)).fetchall()
+        n = len(self.names)
+        for number, (episode, numbers, crc) in enumerate(rows):
+            if len(numbers) != 8 * (2 * n + 2) or checksum(episode, numbers) != crc:
+                raise StoreError(f"{self.path}: transition {number} is damaged; use a copy")
+        values = np.frombuffer(b"".join([row[1] for row in rows]), dtype="<f8").reshape(-1, 2 * n + 2)
+        episode = np.array([row[0] for row in rows], dtype=int)
+        return Transitions(self.names, values[:, :n], values[:, n], values[:, n + 1 : -1], episode, values[:, -1])
 
 
 class _Writer(threading.Thread):
-    """Commits what waits, every PERIOD; a disk that is full or gone makes the rows wait, never the loop."""
+    """Commits what waits, every PERIOD; a database that is busy or broken makes the rows wait, never the loop."""
 
-    def __init__(self, path: FilePath, size: Callable[[], int]):
+    def __init__(self, path: FilePath):
         super().__init__(name="steerkit store", daemon=True)
-        self.path, self.waiting, self.committed = path, list[bytes](), 0
-        self.fault, self.ending = "", False
-        try:
-            self._file = open(path, "r+b", buffering=0)  # noqa: SIM115
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as why:
-            busy = "another store writes to it" if isinstance(why, BlockingIOError) else why.strerror
-            raise StoreError(f"{path}: {busy}; close that, or use a new file") from None
-        self._size = size()
-        self._file.truncate(self._size)
+        self.path = path
+        self.waiting: list[Row] = []
+        self.committed, self.fault, self.ending = 0, "", False
+        self._db: sqlite3.Connection | None = None  # of the thread
         self._wake, self._tried = threading.Event(), threading.Condition()
         self.start()
 
@@ -200,10 +252,10 @@ class _Writer(threading.Thread):
             rows = self.waiting[:]
             try:
                 if rows:
-                    self._commit(b"".join(rows))
+                    self._commit(rows)
                 fault, failing_since, warned = "", math.inf, False
-            except OSError as why:
-                fault, failing_since = f"{why.strerror}", min(failing_since, time.monotonic())
+            except StoreError as why:
+                fault, failing_since = str(why), min(failing_since, time.monotonic())
             with self._tried:
                 if not fault:
                     del self.waiting[: len(rows)]  # others only append
@@ -214,15 +266,25 @@ class _Writer(threading.Thread):
                 warned = True
                 text = f"{self.path}: {len(rows)} transitions wait to be written: {fault}"
                 warnings.warn(text, RuntimeWarning, stacklevel=1)
-        self._file.close()
+        self._disconnect()
 
-    def _commit(self, data: bytes) -> None:
-        """Whole or, at the next attempt, anew in the same place."""
-        self._file.seek(self._size)
-        if self._file.write(data) != len(data):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        os.fsync(self._file.fileno())
-        self._size += len(data)
+    def _commit(self, rows: Sequence[Row]) -> None:
+        try:
+            with errors_of(self.path):
+                self._db = self._db or connect(self.path, timeout=0.2)
+                with transaction(self._db) as db:
+                    query = "SELECT coalesce(max(n) + 1, 0) FROM transition WHERE run = ?"
+                    (n,) = db.execute(query, (RUN,)).fetchone()
+                    numbered = ((RUN, n + i, *row) for i, row in enumerate(rows))
+                    db.executemany("INSERT INTO transition VALUES (?, ?, ?, ?, ?)", numbered)
+        except StoreError:
+            self._disconnect()
+            raise
+
+    def _disconnect(self) -> None:
+        if self._db is not None:
+            self._db.close()
+            self._db = None
 
     def flush(self, timeout: float) -> None:
         with self._tried:

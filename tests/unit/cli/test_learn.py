@@ -18,7 +18,7 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(tmp_path: Path, cli:
     merit = cli("learn", "--config", config, "--out", place, "--json").json
     assert (merit["seed"], merit["course"]) == (2, "circle")
     assert 0.15 <= merit["driving_minutes"] < 0.16
-    assert {p.name for p in place.glob("*.png")} == {"learning.png", "round.png"}
+    assert {p.name for p in place.glob("*.png")} == {"learning.png", "round.png", "data.png"}
     shown = json.loads(cli("show", place, "-q", "--json").out)  # nothing else on stdout
     assert shown["failures"] == merit["failures"]
     assert [drive["controller"] for drive in shown["drives"]] == ["learned", "stanley"]

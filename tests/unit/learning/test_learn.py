@@ -54,7 +54,7 @@ def test_a_log_makes_a_run_that_can_be_shown_and_goes_on(tmp_path: Path) -> None
     assert len(rundir.drive_log(place).t) == 1200
     figures = report.show(place, quiet=True)
     assert figures["log"] == "made up"
-    assert {file.name for file in place.glob("*.png")} == {"round.png"}
+    assert {file.name for file in place.glob("*.png")} == {"round.png", "data.png"}
     longer = learn(replace(run.experiment, minutes=1.02), place)
     assert longer.t == pytest.approx(61.2, abs=0.1)
     assert len(longer.transitions) > len(run.transitions)

@@ -12,7 +12,7 @@ from steerkit.identification import Drive, identify
 from steerkit.identification.fit import Identified
 from steerkit.logs import drive as drives
 from steerkit.logs.drive import aligned, in_metres, odd_values, standing_off
-from tests.support.recorded_cars import BASE, DT, by_rate, noisy
+from tests.support.recorded_cars import BASE, DT, by_rate, driven, noisy
 
 
 def test_repairs_are_stated_and_harmless(clean: dict[str, Any], found: Identified) -> None:
@@ -366,6 +366,30 @@ def test_a_unit_that_changes_in_the_middle_is_told_with_its_row(
     mixed[quantity] = np.where(np.arange(len(size)) < row, 1.0, factor) * mixed[quantity]
     with pytest.raises(ValueError, match=rf"{quantity} goes from .* at row {row} .*: its unit changes there between"):
         Drive.of(mixed)
+
+
+def stopping() -> dict[str, Any]:
+    """Two drives of a minute and a half, from a stop to a stop, with noise of a gyro."""
+    columns = noisy(driven(v_low=0.0, v_high=14.0, seconds=120.0), 0)
+    return {key: columns[key] for key in ("t", "delta_sw", "v", "r")}
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.6, 1.0 / 3.6])
+def test_a_unit_of_speed_that_changes_at_a_stop_is_told_with_its_row(factor: float) -> None:
+    columns = stopping()
+    stop = int(np.argmin(columns["v"] + (np.abs(columns["t"] - 60.0) > 20.0) * 99.0))
+    columns["v"] = np.where(np.arange(len(columns["t"])) < stop, 1.0, factor) * columns["v"]
+    if factor == 1.0:
+        assert len(Drive.of(columns).v)
+        return
+    to = "km/h" if factor > 1.0 else "m/s"
+    with pytest.raises(ValueError, match=rf"v goes with .* to {to} at a stop before row (\d+)") as told:
+        Drive.of(columns)
+    row = int(str(told.value).split("before row ")[1].split(" ")[0])
+    assert 0 < columns["t"][row] - columns["t"][stop] < 25.0
+    with pytest.raises(ValueError, match=rf"before row {row} "):
+        Drive.of(columns | {"t": columns["t"] + 1000.0})  # a clock that does not begin at 0
+    assert len(Drive.of(columns, trusted=True).v)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 15.0])
