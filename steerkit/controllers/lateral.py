@@ -31,9 +31,9 @@ class LateralMpc(Block):
 
     The tyres' part a = a_y - a_roll answers commands u by g sum_i p_i u_{k-i} + w; p is the change of `response`, and w
     wanders: w+ = rho w + noise, rho = exp(-dt/wander_time). g is estimated from a_k - rho a_{k-1} by recursive least
-    squares. Then, over `preview`,
+    squares. Then, over `preview`, y being a_y and z its target,
 
-        min  sum_i 50 (a_y,i - target_i)^2 + ((a_y,i - a_y,i-1)/dt)^2 + q_step (g u_i - g u_i-1)^2
+        min  sum_i 50 (y_i - z_i)^2 + ((y_i - y_{i-1})/dt)^2 + q_step g^2 (u_i - u_{i-1})^2
 
     by a matrix made beforehand: with moves = 1 that is the LQR with preview, cut at +-2 m/s^2; with more, the first
     `moves` commands keep that limit (sweeps over them, each the best for the others), the later ones are free.
