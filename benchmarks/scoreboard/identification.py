@@ -270,6 +270,7 @@ def laps() -> Iterator[tuple[str, Drive, Drive]]:
 def add_options(parser: Any) -> None:
     """Options of this part."""
     parser.add_argument("--drives", type=int, default=3, help="of each car under noise")
+    parser.add_argument("--first-drive", type=int, default=0, help="seed of the first of them")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
@@ -278,7 +279,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     seeds, noises = (1, NOISE[1:2]) if options.quick else (options.drives, NOISE)
     rows, seconds, covered = list[dict[str, Any]](), list[float](), list[bool]()
     held: dict[str, dict[str, float]] = {}
-    jobs = [(kind, seed) for seed in range(seeds) for kind in kinds(seed) if not options.quick or kind.tyres]
+    those = range(options.first_drive, options.first_drive + seeds)
+    jobs = [(kind, seed) for seed in those for kind in kinds(seed) if not options.quick or kind.tyres]
     for kind, seed in track(jobs, "identifying", console=console, disable=options.quick):
         true, ratio = driven(kind, seed, TRAIN + REST), float(kind.vehicle.steer_ratio)
         for noise in noises:
