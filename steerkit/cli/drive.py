@@ -93,8 +93,9 @@ def drive(
     require(not (stream and len(asked) > 1), f"--stream {stream}", "shows one controller; name one")
     scenario = scenario_of(ctx)
     if target:
-        idle = given(ctx) & {"rounds", "animate", "stream"}
-        require(not idle, f"--target {target}", f"leave {', '.join(sorted(idle))} out: it is no course")
+        of_courses = {"rounds", "animate", "stream"} | (set() if target == "lap" else {"course", "speed", "v_max"})
+        idle = ", ".join(f"--{name.replace('_', '-')}" for name in sorted(given(ctx) & of_courses))
+        require(not idle, f"--target {target}", f"leave {idle} out: it is no course")
         console.stderr = options.as_json
         rows = _lateral(asked, scenario, target, out, options.seed)
         if options.as_json:

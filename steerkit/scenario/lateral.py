@@ -70,7 +70,9 @@ class LateralTarget(Block):
         require(columns["a_y"].ndim == 1 and len(columns["a_y"]) > 1, where, "expected 2 or more samples, 0.1 s apart")
         for name, values in columns.items():
             unit, most = _BOUNDS[name]
-            require_within(where, name, values, unit, 1.0 if name == "v" else -most, most)
+            least = 1.0 if name == "v" else -most
+            first = int(np.argmax(~((least <= values) & (values <= most))))  # that does not fit, if any
+            require_within(f"{where}, at {first * DT:.1f} s", name, float(values[first]), unit, least, most)
         a_x = np.gradient(columns["v"], DT)
         return cls(table=Table(np.column_stack((columns["a_y"], columns["a_roll"], columns["v"], a_x))))
 
@@ -120,6 +122,9 @@ class LateralTarget(Block):
         n = len(columns["a_y"])
         t = columns.get("t", DT * np.arange(n))
         require((np.diff(t) > 0.0).all(), where, "t [s] does not rise from row to row")
+        widest = int(np.argmax(np.diff(t))) if n > 1 else 0
+        gap = f"no row for {np.max(np.diff(t), initial=0.0):.6g} s from t = {t[widest]:.6g} s on, expected one in 10 s"
+        require((np.diff(t) <= 10.0).all(), where, gap)
         even = np.arange(t[0], t[-1] + 1e-9, DT)
         a_y, v, a_roll = (np.interp(even, t, columns.get(key, np.zeros(n))) for key in _BOUNDS)
         return cls.of(a_y, v, a_roll, where=where)
@@ -136,8 +141,8 @@ class LateralTarget(Block):
         last = len(self.table) - 1.0
         now, *ahead = (self.table(m.minimum(x[0] + i, last)) for i in map(float, range(self.preview_points + 1)))
         car, v = self.vehicle, now[2]
-        per_a = (car.l_f + car.l_r) / (v * v) + car.understeer_gradient
-        angle = car.steer_ratio * m.atan(per_a * m.clip(u.a_y_cmd, -STEER, STEER))
+        i = car.steer_ratio
+        angle = i * m.atan(car.wheel_per_a_y(v) / i * m.clip(u.a_y_cmd, -STEER, STEER))
         return self.Y(*now, *map(tuple, zip(*ahead)), u.answer + now[1], angle)
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
