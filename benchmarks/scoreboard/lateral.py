@@ -58,7 +58,7 @@ def add_options(parser: argparse._ActionsContainer) -> None:
     """How many targets, and how long is tuned and trained."""
     parser.add_argument("--targets", type=int, default=20, help="drawn targets (default 20)")
     parser.add_argument("--pid-draws", type=int, default=60, help="gains that are tried for the PID (default 60)")
-    parser.add_argument("--lateral-minutes", type=float, default=15.0, help="driving of a training (default 15 min)")
+    parser.add_argument("--lateral-minutes", type=float, default=60.0, help="driving of a training (default 60 min)")
     parser.add_argument("--trainings", type=int, default=1, help="of SAC (default 1; 0: without)")
 
 
