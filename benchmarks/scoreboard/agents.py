@@ -473,9 +473,9 @@ def add_options(parser: Any) -> None:
     parser.add_argument("--seeds", type=int, default=6, help="runs of each agent")
     parser.add_argument("--minutes", type=float, default=30.0, help="driving after which a run ends")
     parser.add_argument("--computing", type=float, default=120.0, help="computing after which a run ends [s]")
-    parser.add_argument("--draws", type=int, default=4, help="sets of hyper-parameters that are tried")
-    parser.add_argument("--tuning", type=float, default=3.0, help="minutes of driving of each of those")
-    parser.add_argument("--tuning-computing", type=float, default=15.0, help="and its computing [s]")
+    parser.add_argument("--draws", type=int, default=3, help="sets of hyper-parameters that are tried")
+    parser.add_argument("--tuning", type=float, default=2.0, help="minutes of driving of each of those")
+    parser.add_argument("--tuning-computing", type=float, default=8.0, help="and its computing [s]")
     parser.add_argument("--keep", type=Path, default=None, help="file of the runs: after a stop it goes on from there")
 
 
