@@ -247,7 +247,7 @@ def _lines(feature: dict[str, Any], before: list[Track], flat: bool) -> list[Tra
 def _place(point: Any, flat: bool) -> list[float]:
     """x and y, or latitude and longitude, of a position of GeoJSON."""
     good = isinstance(point, list) and len(point) >= 2
-    good = good and all(type(x) in (int, float) and math.isfinite(x) for x in point)
+    good = good and all(type(x) in (int, float) and abs(x) < 1e9 for x in point)  # nor NaN
     require(good, "coordinates", f"a position {point}, expected longitude and latitude, as numbers"[:200])
     return point[:2] if flat else point[1::-1]
 
