@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from steerkit.identification import Drive, identify_tyres
-from steerkit.identification.tyres import accelerations, pacejka, rolled
+from steerkit.identification.tyres import _Pieces, accelerations, pacejka, rolled
 from steerkit.vehicles import VW_PASSAT, G
 
 DT = 0.02
@@ -105,6 +106,18 @@ def test_intervals_hold_the_truth_under_noise() -> None:
         held += [found[name].low <= TRUE[name] <= found[name].high for name in ("c_f", "c_r", "mu_f", "mu_r")]
         assert found["c_f"].high / found["c_f"].low < 2.0
     assert sum(held) >= 22
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8])
+def test_errors_that_last_widen_the_intervals_by_what_is_known_of_them(rho: float) -> None:
+    """Of x_k = rho x_{k-1} + noise a mean's deviation is sqrt((1 + rho)/(1 - rho)) of that of independent errors."""
+    rng = np.random.default_rng(0)
+    error = rng.normal(size=(40, 2, 400))
+    for k in range(1, error.shape[2]):
+        error[..., k] += rho * error[..., k - 1]
+    told = SimpleNamespace(measured=np.ones((2, 9)), known=np.ones((2, 16_000), dtype=bool))
+    alone, lasting = (_Pieces.scales(told, error.reshape(40, -1), correlated) for correlated in (False, True))  # type: ignore[arg-type]
+    assert lasting / alone == pytest.approx(np.sqrt((1.0 + rho) / (1.0 - rho)), rel=0.1)
 
 
 def test_friction_that_is_not_used_is_not_told() -> None:
