@@ -433,7 +433,7 @@ class Reading:
             own = self.table(name)
             for key in own.keys() & more.keys() - {"dbc"}:
                 raise self.wrong(f"[{name}] {key}: the port of {found.name} gives it; leave it out")
-            both = {"dbc": [*own.get("dbc", ()), *more["dbc"]]} if "dbc" in more else more
+            both = {"dbc": [*self.entry(name, own, "dbc", list, []), *more["dbc"]]} if "dbc" in more else more
             self.data[name] = {**own, **both}
         self.data.setdefault("vehicle", {"name": found.name.lower().replace("_", "-")})
         self.data.setdefault("kit", {"lag": 0.1, "delay": found.delay})

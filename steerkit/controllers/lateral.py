@@ -63,7 +63,8 @@ class LateralMpc(Block):
     wander_time: float = number(1.5, "s", above=0.0, high=1e4)
     """Within which w is forgotten [s]."""
     q_step: float = number(100.0, "1", above=0.0, high=1e6)
-    """What (m/s^2)^2 of a step of g u costs; the more, the less a wrong dead time hurts."""
+    """What (m/s^2)^2 of a step of g u costs; the more, the less a wrong dead time hurts. On a car of 0.5 s, 100 holds
+    where it is told 25 % wrong and swings at 50 %; 1000 holds there too, but costs a fifth more where it is right."""
     moves: int = number(1, "1", low=1, high=20)
     """Commands that keep the limit."""
     dt: float = number(DT, "s", above=0.0, high=1.0)

@@ -9,6 +9,7 @@ import pytest
 from benchmarks.peers.lateral_pid import Controller
 from benchmarks.scoreboard import lateral
 from steerkit.controllers.challenge import ChallengeController
+from steerkit.controllers.lateral import LateralMpc
 from steerkit.scenario.lateral import LateralTarget
 
 
@@ -57,3 +58,13 @@ def test_the_learned_response_costs_less_than_the_told_one() -> None:
     learned = lateral.replace(told, response=response, gain=gain)
     other = LateralTarget.drawn(6, seconds=30.0)
     assert lateral.cost(learned, other, 5) < lateral.cost(told, other, 5)
+
+
+@pytest.mark.parametrize(("times", "q_step"), [(0.5, 1000.0), (1.5, 1000.0), (0.75, 100.0), (1.25, 100.0)])
+def test_a_wrong_dead_time_does_not_swing_within_what_the_step_cost_is_said_to_hold(
+    times: float, q_step: float
+) -> None:
+    """Hardly steering costs 1,360 on such targets; that of the right dead time is 150."""
+    told = lateral.CAR.design_model()
+    block = LateralMpc(response=LateralMpc.told(times * told.delay, told.lag), q_step=q_step)
+    assert lateral.cost(block, LateralTarget.drawn(7001), 7001) < 600.0

@@ -44,6 +44,16 @@ def test_what_the_port_gives_may_not_be_given_by_the_file_too() -> None:
         Reading("car", data, {}, shipped("production-car.toml").parent).config(None)
 
 
+def test_dbc_files_of_a_production_car_that_are_no_list_are_a_mistake_of_the_file() -> None:
+    from steerkit._support.files import toml_of
+    from steerkit.car.config import Reading, shipped
+
+    data = toml_of(shipped("production-car.toml").read_text(encoding="utf-8"), "car")
+    data["files"]["dbc"] = 3
+    with pytest.raises(ConfigError, match=r"\[files\] dbc = 3, expected"):
+        Reading("car", data, {}, shipped("production-car.toml").parent).config(None)
+
+
 def test_the_gate_of_a_port_is_no_wider_than_the_file_says() -> None:
     car = config_of("TESLA_MODEL_3", a_y_max=1.0, rate_max_deg=20.0)
     assert car.gate.a_y_max == 1.0
