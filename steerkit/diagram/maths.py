@@ -202,7 +202,7 @@ class Table:
         array.flags.writeable = False
         self.rows = array
         self._columns = np.ascontiguousarray(array.T)
-        self._tuples = [tuple(row) for row in array.tolist()]
+        self._tuples = list(zip(*self._columns.tolist()))
 
     def __len__(self) -> int:
         return len(self._tuples)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from steerkit.vehicles.fleet import FleetCar
 DT = 0.01
 """Sample time of an open-loop run [s]."""
 _MARGIN = 5.0  # m: so far before the end of an open course a run ends
+_straight = lru_cache(maxsize=8)(straight)  # runs of a manoeuvre have equal ones
 _OPEN = ("m", "i_z", "l_f", "l_r", "c_f", "c_r", "steer_ratio")
 
 
@@ -71,7 +73,7 @@ def open_loop(manoeuvre: Manoeuvre, scenario: Scenario, side: str, seed: int = 0
     `stanley` is one that knows the steering's delay, and it and the wave steer every 0.01 s; others at their own pace.
     """
     v, car = manoeuvre.conditions.v, scenario.nominal
-    path = straight(2.0 * v * _seconds(manoeuvre) + 200.0)
+    path = _straight(2.0 * v * _seconds(manoeuvre) + 200.0)
     blocks: dict[str, Any] = dict(scenario.blocks(path, 50.0, seed))
     blocks["sensors"] = blocks["estimator"] = None  # a test driver holds the wheel, who needs neither
     known = replace(scenario.design_model(), path=path)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.random import seed_state, uniform
-from steerkit.paths.courses import random_course
 from steerkit.paths.path import Path
 from steerkit.scenario.scenario import Scenario
 from steerkit.vehicles import drawn_car
@@ -62,4 +61,4 @@ def fleet_scenario(number: int, **changes: Any) -> Scenario:
     given = changes.get("course", {})
     if not isinstance(given, Mapping) or given.keys() & {"name", "start"}:  # a course takes longer than all the rest
         return scenario
-    return scenario.with_(course={"start": straightest(random_course(COURSES_FROM + number))})
+    return scenario.with_(course={"start": straightest(scenario.path())})

@@ -473,10 +473,11 @@ def _path(name: str, closed: bool | None, text: str | None, v_max: float) -> Pat
     if drawn is None:
         return course(name)
     seed, length, max_kappa = drawn
-    return random_course(seed, length=length, max_kappa=max_kappa, name=name)
+    return _random_course(seed, length=length, max_kappa=max_kappa, name=name)
 
 
 _vehicle = lru_cache(maxsize=32)(vehicle_of)
+_random_course = lru_cache(maxsize=32)(random_course)
 
 
 def profile_in(text: str, name: str) -> tuple[Array, Array]:

@@ -320,17 +320,20 @@ def _weighed(basis: Any, third: Any, points: Array, beside: Array, noise: float,
     """
     from scipy.sparse.linalg import splu
 
-    n, normal, penalty = len(points), basis.T @ basis, third.T @ third
+    basis, third = basis.tocsr(), third.tocsr()
+    basis_t, third_t = basis.T.tocsr(), third.T.tocsr()
+    n, normal, penalty = len(points), (basis_t @ basis).tocsc(), (third_t @ third).tocsc()
     centre = points.mean(axis=0)
     near = points - centre
+    wanted = basis_t @ near
 
     def solved(log_weight: float) -> tuple[Array, float, float]:
         """Coefficients, by how much their residual is more than the noise's, and the noise that they show."""
         weight = math.exp(log_weight)
-        factors = splu((normal + weight * penalty).tocsc())
-        c = factors.solve(basis.T @ near)
+        factors = splu(normal + weight * penalty)
+        c = factors.solve(wanted)
         for _ in range(2):  # what rounding has left of a stiff curve's equations
-            c += factors.solve(basis.T @ (near - basis @ c) - weight * (third.T @ (third @ c)))
+            c += factors.solve(basis_t @ (near - basis @ c) - weight * (third_t @ (third @ c)))
         residual = float(((beside * (basis @ c - near)).sum(axis=1) ** 2).sum())
         free = end / (3.0 * (weight * end / n) ** (1.0 / 6.0))
         left = max(n - free, 0.1 * n)
