@@ -215,10 +215,10 @@ _DEAD_TIME, _LATE = 0.5, 0.8
 """Longest dead time for which an adaptive controller is made, where none as long is told [s]; the second is that of
 recovery controllers and of cars steered by torque. Where a longer one is needed, they swing."""
 _ADAPTED_LAG = 0.1
-"""Lag for which adaptive Stanley and LQR are made [s]. Of dead time and lag only the sum shows while driving, so the lag
-told is no number on which the drive hangs: up to this and `_CAUTION` it changes nothing, what is told beyond it is where
-the sum begins. MPC is made for the lag told, which is worth more to it: on a calibrated car another one costs it three
-times the error."""
+"""Lag for which adaptive Stanley and LQR are made [s]. Of dead time and lag only the sum shows while driving, so the
+lag told is no number on which the drive hangs: up to this and `_CAUTION` it changes nothing, and what is told beyond it
+is where the sum begins. MPC is made for the lag told, which is worth more to it: on a calibrated car another one costs
+it three times the error."""
 _SURE = 0.015
 """Deviation up to which an adaptive controller of a car steered by torque believes at once that its dead time is
 shorter [s]; a recovery, which is slower, always does."""
