@@ -1,7 +1,7 @@
 """Tables in text: whatever parts their columns, wherever their names stand."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerkit._support.tables import parted, text_table
@@ -48,6 +48,7 @@ def test_a_table_without_names_is_refused(text: str, message: str) -> None:
         text_table(text.splitlines(), "t.csv")
 
 
+@settings(max_examples=50)
 @given(st.lists(st.text(max_size=30), max_size=6))
 def test_no_text_leads_to_anything_but_a_table_or_that(lines: list[str]) -> None:
     try:

@@ -39,24 +39,24 @@ def test_ones_own_controller_course_car_and_scenario(tmp_path: Path, monkeypatch
     (tmp_path / "car.toml").write_text(vehicle_text(VEHICLES["bmw-320i"], steering=steering))
     own_controller(tmp_path)
     monkeypatch.chdir(tmp_path)
-    write_scenario(Scenario.under("hard", course={"name": "yard.csv", "rounds": 0.3}, vehicle="car.toml"), "yard.toml")
-    by_options = ("--course", "yard.csv", "--vehicle", "car.toml", "--conditions", "hard", "--rounds", "0.3")
+    write_scenario(Scenario.under("hard", course={"name": "yard.csv", "rounds": 0.1}, vehicle="car.toml"), "yard.toml")
+    by_options = ("--course", "yard.csv", "--vehicle", "car.toml", "--conditions", "hard", "--rounds", "0.1")
     ways = (by_options, ("--scenario", "yard.toml"), ("--scenario", "yard.toml", "--delay", "0"))
     rows = [cli("drive", "my_file.py:make", *words, "--json", "-q").json for words in ways]
     assert rows[0]["controller"] == "my_file.py:make"
     assert rows[0] == rows[1]
     assert rows[0]["rms_e"] != rows[2]["rms_e"]
-    agent = cli("drive", "my_file.py:agent", "--course", "genesis-rfs", "--rounds", "0.2", "--json", "-q").json
+    agent = cli("drive", "my_file.py:agent", "--course", "genesis-rfs", "--rounds", "0.05", "--json", "-q").json
     assert agent["held"]  # a policy with its output element
     assert (tmp_path / "runs/drive-my_file.py-make-yard-hard-seed0/drive.npz").exists()
 
 
 @pytest.mark.parametrize("name", sorted(CONTROLLERS))
 def test_every_analytic_controller_drives_with_delay(name: str) -> None:
-    """The first 6 s of the course with 0.1 s delay; the textbook form already swings, but stays near."""
+    """The first 4 s of the course with 0.1 s delay; the textbook form already swings, but stays near."""
     scenario = Scenario(steering={"delay": 0.1})
     steering = evaluate.controller(name, scenario)
-    log = simulate(evaluate.drive_loop(scenario, steering), 6.0, record=["path.e"])
+    log = simulate(evaluate.drive_loop(scenario, steering), 4.0, record=["path.e"])
     assert abs(log["path.e"]).max() < 0.3
 
 

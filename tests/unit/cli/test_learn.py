@@ -19,10 +19,11 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(tmp_path: Path, cli:
     assert (merit["seed"], merit["course"]) == (2, "circle")
     assert 0.15 <= merit["driving_minutes"] < 0.16
     assert {p.name for p in place.glob("*.png")} == {"learning.png", "round.png", "data.png"}
-    shown = json.loads(cli("show", place, "-q", "--json").out)  # nothing else on stdout
+    said = cli("show", place, "--film", film, "--film-lasts", 2, "--json")
+    shown = json.loads(said.out)  # nothing else on stdout
     assert shown["failures"] == merit["failures"]
     assert [drive["controller"] for drive in shown["drives"]] == ["learned", "stanley"]
-    assert f"film: {film}" in cli("show", place, "--film", film, "--film-lasts", 2, "-q").out
+    assert f"film: {film}" in said.err
     assert film.stat().st_size > 10_000
     assert "ends in .gif" in cli("show", place, "--film", tmp_path / "film.avi", code=2).err
     assert "show --film: takes one run" in cli("show", place, place, "--film", film, code=2).err

@@ -111,11 +111,11 @@ def test_the_ratio_is_estimated_behind_the_estimated_dead_time_not_the_believed_
 
 
 def test_one_that_takes_turns_learns_from_the_commands_of_others_which_it_sees_a_sample_late() -> None:
-    signals = answered(steered(30.0), delay=0.15, lag=0.1, v=7.0 + np.zeros(600))
+    signals = answered(steered(20.0), delay=0.15, lag=0.1, v=7.0 + np.zeros(400))
     found = []
     for block in (adaptive(delays=(0.0, 0.5)), adaptive(delays=(0.0, 0.5), takes_turns=True)):
         x = block.settle(0.0, block.init(), block.U(**HERE | {"doe": 0.0} if block.takes_turns else HERE))
-        for k in range(600):
+        for k in range(400):
             u, sent = HERE | {"r": float(signals["r"][k]), "v": 7.0}, float(signals["delta_sw"][k])
             seen = {"doe": sent} if block.takes_turns else {}
             x = block.update(0.05 * k, x, block.U(**u | seen), block.Y(0.0 if block.takes_turns else sent))
@@ -190,7 +190,7 @@ def rms(name: str, scenario: Scenario) -> tuple[float, float]:
     ],
 )
 def test_it_drives_nearly_as_well_as_one_that_knows_the_true_parameters(wrong: dict[str, Any]) -> None:
-    off = Scenario(**wrong)
+    off = Scenario(course={"name": "paper", "rounds": 0.6}, **wrong)
     truth = rms("stanley-delay", off.with_(knowledge={"oracle": True, "delay": None}))[0]
     plain, adapts = rms("stanley-delay", off), rms("stanley-adaptive", off)
     assert adapts[0] < plain[0]

@@ -23,8 +23,8 @@ from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.drive import controller, drive
 from tests.support.straight_road import PASSAT, looped
 
-STRAIGHT = Scenario(course="straight", driver={"v_min": 6.0, "v_max": 6.0})
-SLALOM = STRAIGHT.with_(course={"name": "slalom"})
+STRAIGHT = Scenario(course={"name": "straight", "rounds": 0.5}, driver={"v_min": 6.0, "v_max": 6.0})
+SLALOM = STRAIGHT.with_(course={"name": "slalom", "rounds": 1.0})
 OFF = {"steering": {"offset_deg": 5.0}}
 OTHER_CAR = {"vehicle": {"ratio": 1.25, "tyres": 0.6}}
 D = radians_of(5.0)
@@ -69,7 +69,7 @@ def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(
     [("stanley", OFF), ("lqr", {"disturbances": {"bank_deg": 3.0}}), ("stanley", OTHER_CAR), ("mpc", OTHER_CAR)],
 )
 def test_in_a_steady_bend_neither_offset_nor_bank_nor_ratio_leaves_an_error(name: str, wrong: dict[str, Any]) -> None:
-    bent = STRAIGHT.with_(course={"name": "circle", "rounds": 1.5}, **wrong)
+    bent = STRAIGHT.with_(course={"name": "circle", "rounds": 1.0}, **wrong)
     assert abs(at_the_end("stanley-delay" if name == "stanley" else name, bent)) > 5e-3
     assert abs(at_the_end(f"{name}-offset-free", bent)) < 1e-3
 

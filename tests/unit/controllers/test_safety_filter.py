@@ -63,11 +63,11 @@ def test_a_car_that_runs_away_goes_on_for_dead_time_and_hold(delay: float) -> No
     assert least < asked(block, e=e, psi_e=psi).reach < least + v * math.sin(psi) * 0.6
 
 
-def doubts(block: SafetyFilter, wrong: Any) -> list[float]:
+def doubts(block: SafetyFilter, wrong: Any, samples: int = 400) -> list[float]:
     """The doubt of the yaw rate, read off `reach` of a car on its path, where the yaw rate is off by so much."""
     u = {**HERE, "preview": (0.0,) * block.preview_points}
     x, found = block.settle(0.0, block.init(), block.D(**{n: u[n] for n in block.D._fields})), []
-    for k in range(400):
+    for k in range(samples):
         now = u | {"r": wrong(0.05 * k)}
         y = block.output(0.05 * k, x, block.D(**{name: now[name] for name in block.D._fields}))
         x = block.update(0.05 * k, x, block.U(**{name: now[name] for name in block.U._fields}), y)
@@ -80,13 +80,13 @@ def test_the_yaw_rate_is_doubted_less_while_the_model_proves_right_and_at_once_w
     wide = SafetyFilter.of(PASSAT, **settings)
     narrows = replace(wide, yaw_doubt_least=0.004)
     least = asked(replace(wide, yaw_doubt=0.004)).reach
-    always, found = doubts(wide, lambda t: 0.0), doubts(narrows, lambda t: 0.0)
+    always, found = doubts(wide, lambda t: 0.0, 50), doubts(narrows, lambda t: 0.0)
     assert found[0] == always[0], "wide at first"
     assert max(np.diff(found)) <= 0.0
     assert found[-1] == pytest.approx(least), "a model that is right leaves what is doubted in any case"
     assert len(set(always)) == 1
     off = 0.01  # from 10 s on the car turns faster than it should
-    changed = doubts(narrows, lambda t: off * (t > 10.0)), doubts(wide, lambda t: off * (t > 10.0))
+    changed = [doubts(block, lambda t: off * (t > 10.0), 231) for block in (narrows, wide)]
     assert changed[0][200] < 0.8 * changed[1][200]
     assert changed[0][230] == pytest.approx(changed[1][230]), "all of it again after 1.5 s"
     constant = doubts(narrows, lambda t: 0.01), doubts(replace(wide, yaw_doubt=0.004), lambda t: 0.01)
@@ -247,7 +247,7 @@ class Adversary(Block):
         return self.Y(side * STOP + 0.0 * u.e)
 
 
-def driven(kind: str, scenario: Scenario, *, seconds: float = 8.0, **settings: Any) -> Log:
+def driven(kind: str, scenario: Scenario, *, seconds: float = 5.0, **settings: Any) -> Log:
     design_model = scenario.design_model()
     block = SafetyFilter.of(design_model.vehicle, delay=design_model.delay, lag=design_model.lag, **settings)
     return simulate(assembled(scenario, Adversary(kind=kind), safety=block), seconds, every=5)
@@ -348,7 +348,7 @@ def test_how_late_commands_arrive_is_found_beyond_the_doubt_whatever_the_ratio(
 
 def test_the_ratio_is_doubted_as_much_as_it_is_off_at_most_four_times_and_less_with_time() -> None:
     block = SafetyFilter.of(PASSAT, yaw_doubt=1e-5)
-    widened = [followed(block, 1, gain)[1][-1].widened for gain in (1.0, 0.95, 0.8, 1.3, 2.0)]
+    widened = [followed(block, 1, gain, seconds=5.0)[1][-1].widened for gain in (1.0, 0.95, 0.8, 1.3, 2.0)]
     assert widened[:2] == [1.0, 1.0]
     assert widened[2:] == pytest.approx([2.5, 3.0 / 1.3, 4.0], rel=0.01), "shares of the car's own yaw rate, over 0.1"
     u: Any = block.U(**{**HERE, "preview": (0.0,) * block.preview_points})

@@ -137,7 +137,7 @@ def test_a_position_jumps_as_often_and_as_far_as_said() -> None:
 
 def test_the_heading_wanders_slowly() -> None:
     sensors = DegradedSensors(block=Sensors(seed=4), heading_drift=radians_of(0.2), heading_time=2.0)
-    error = seen(sensors, standing(5 * MANY))[:, 2] - 0.3
+    error = seen(sensors, standing(2 * MANY))[:, 2] - 0.3
     assert error.std() == pytest.approx(radians_of(0.2), rel=0.1)
     lag = round(2.0 / sensors.dt)
     assert np.corrcoef(error[lag:], error[:-lag])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.08)

@@ -22,11 +22,10 @@ from tests.support.command_lines import run
 from tests.unit.paths.importers.test_lanelets import lanelet, osm_file, relation, scenario, way
 
 
-@pytest.mark.parametrize(("name", "seed"), [("random-7", 0), ("random-3", 1)])
-def test_a_noisy_lap_becomes_a_course_that_stanley_drives(name: str, seed: int, tmp_path: FilePath) -> None:
+def test_a_noisy_lap_becomes_a_course_that_stanley_drives(tmp_path: FilePath) -> None:
     """One metre of noise, once a second, at 5 m/s; after 5 s, as a start in a bend is none of the course's fault."""
-    truth = Scenario(course=name).path()
-    file = road_files.gpx(road_files.driven(truth, seed=seed, further=30.0), tmp_path / "lap.gpx")
+    truth = Scenario(course="random-7").path()
+    file = road_files.gpx(road_files.driven(truth, seed=0, further=30.0), tmp_path / "lap.gpx")
     where = Scenario(course=str(file), driver={"v_min": 5.0, "v_max": 5.0})
     path = where.path()
     assert path.closed
@@ -127,7 +126,7 @@ def test_files_cut_off_are_refused(name: str, tmp_path: FilePath) -> None:
     make, choice = FILES[name]
     file = make(tmp_path / name)
     data, right = file.read_bytes(), points(file, choice)
-    for cut in np.linspace(0, len(data) - 2, 24).astype(int):
+    for cut in np.linspace(0, len(data) - 2, 12).astype(int):
         file.write_bytes(data[:cut])
         assert wrong_by(file, choice, right) < 0.6, f"cut at {cut} of {len(data)}"
     file.write_bytes(data[: len(data) // 2])
@@ -146,14 +145,14 @@ def test_files_with_a_bit_flipped_are_refused_or_read_right(name: str, tmp_path:
     data, right = bytearray(file.read_bytes()), points(file, choice)
     before = off(read_course(f"{file}#{choice}").path, right)  # an end that is smoothed is a little off
     wrong = []
-    for place in np.random.default_rng(5).integers(0, 8 * len(data), 60).tolist():
+    for place in np.random.default_rng(5).integers(0, 8 * len(data), 24).tolist():
         data[place // 8] ^= 1 << place % 8
         file.write_bytes(data)
         by = wrong_by(file, choice, right)
         if by > before + 0.75:
             wrong.append((place // 8, by))
         data[place // 8] ^= 1 << place % 8
-    assert len(wrong) <= 2, wrong
+    assert len(wrong) <= 1, wrong
 
 
 def test_a_table_takes_no_more_memory_than_four_times_its_file(tmp_path: FilePath) -> None:
