@@ -25,7 +25,7 @@ from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import VW_PASSAT as CAR
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-ffp-contract=off"]
-SANITIZED = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+SANITIZED = ["-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="exported C is compiled with gcc")
 
 

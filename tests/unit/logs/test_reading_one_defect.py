@@ -13,7 +13,7 @@ import pytest
 from steerkit.logs import read_drive
 from tests.support.written_logs import FORMATS, driven, written
 
-COUNT = int(os.environ.get("STEERKIT_DAMAGED", "6"))
+COUNT = int(os.environ.get("STEERKIT_DAMAGED", "4"))
 """Damaged files a format."""
 SECONDS = 40.0
 

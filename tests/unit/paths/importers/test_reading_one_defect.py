@@ -19,7 +19,7 @@ from steerkit.paths.path import Path
 from steerkit.scenario import Scenario
 from tests.support import road_files
 
-COUNT = int(os.environ.get("STEERKIT_DAMAGED", "6"))
+COUNT = int(os.environ.get("STEERKIT_DAMAGED", "4"))
 """Damaged files a format."""
 T = np.arange(0.0, 60.0, 1.0)
 XY = np.column_stack((5.0 * T, 20.0 * np.sin(T / 15.0)))
