@@ -20,7 +20,10 @@ from multiprocessing import util
 from pathlib import Path
 from typing import IO, Any
 
-SHARED = ("PIL", "filelock", "joblib", "matplotlib", "pandas", "pydantic", "typer")
+SHARED = (
+    *("PIL", "benchmarks", "can", "cantools", "filelock", "joblib", "matplotlib", "mpl_toolkits", "numpy", "pandas"),
+    *("pydantic", "rich", "scipy", "steerkit", "typer"),
+)
 """Packages of which programs import parts late: this process imports those too, once, for the next programs."""
 
 
@@ -57,7 +60,8 @@ def python(
         err.seek(0)
         new.seek(0)
         for name in new.read().split():  # the next program finds them here
-            importlib.import_module(name)
+            with contextlib.suppress(ModuleNotFoundError):  # one that the program made itself
+                importlib.import_module(name)
         return subprocess.CompletedProcess(words, os.waitstatus_to_exitcode(ended[1]), out.read(), err.read())
 
 
