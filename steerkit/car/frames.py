@@ -18,9 +18,20 @@ def crc8_2f(data: bytes) -> int:
 
     Source: AUTOSAR, Specification of CRC Routines, Crc_CalculateCRC8H2F.
     """
-    from crccheck.crc import Crc8Autosar
+    crc = 0xFF
+    for byte in data:
+        crc = _CRC[crc ^ byte]
+    return crc ^ 0xFF
 
-    return int(Crc8Autosar.calc(data))
+
+def _divided(byte: int) -> int:
+    for _ in range(8):
+        byte = byte << 1 ^ (0x12F if byte & 0x80 else 0)
+    return byte
+
+
+_CRC = bytes(map(_divided, range(256)))
+"""What is left of each byte divided by the polynomial."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +84,8 @@ class FrameReader:
         self.kind = "x" if message.is_extended_frame else ""
         self.period = period
         self._ranges = {s.name: signal_range(s) for s in message.signals}
+        self._names = [signal.name for signal in message.signals]
+        self._signals = {m.signal: message.get_signal_by_name(m.signal) for m in mappings.values()}
         self._needed = [*dict.fromkeys(m.signal for m in mappings.values()), *([counter] if counter else [])]
         self._crc_byte = message.get_signal_by_name(crc).start // 8 if crc else None
         self.modulus = 1 << message.get_signal_by_name(counter).length if counter else 0
@@ -113,7 +126,8 @@ class FrameReader:
         A NaN becomes the code 0x80.. . count: its counter. raw: codes of signals that no quantity maps to; strict: they
         have to be within the DBC's ranges.
         """
-        codes: dict[str, float] = {signal.name: (raw or {}).get(signal.name, 0) for signal in self.message.signals}
+        codes: dict[str, float] = dict.fromkeys(self._names, 0)
+        codes |= {name: code for name, code in (raw or {}).items() if name in codes}
         for quantity, mapping in self.mappings.items():
             if quantity in values:
                 codes[mapping.signal] = self._code(values[quantity], mapping)
@@ -124,7 +138,7 @@ class FrameReader:
         return data if at is None else data[:at] + bytes([frame_crc(data, at, self.frame_id)]) + data[at + 1 :]
 
     def _code(self, value: float, mapping: Mapping) -> int:
-        signal = self.message.get_signal_by_name(mapping.signal)
+        signal = self._signals[mapping.signal]
         if not math.isfinite(value):
             return -(1 << (signal.length - 1)) if signal.is_signed else (1 << signal.length) - 1
         low, high = self._ranges[mapping.signal]

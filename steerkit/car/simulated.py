@@ -220,6 +220,8 @@ class SimulatedCar:
 
     def fault(self, kind: str, t: float, target: str = "") -> Fault | None:
         """The fault of that kind that acts at time t [s], if there is one."""
+        if not self.faults:
+            return None
         acting = (f for f in self.faults if f.kind == kind and f.target in (target or f.target) and f.active(t))
         return next(acting, None)
 

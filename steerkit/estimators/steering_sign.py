@@ -50,18 +50,20 @@ class SignTest:
 
     def forget(self) -> None:
         """Begin anew."""
-        self._begun, self._of_y, self._of_x = False, np.zeros(3), np.zeros((3, len(self._line)))
+        self._begun, self._of_y, self._of_x = False, (0.0, 0.0, 0.0), np.zeros((3, len(self._line)))
 
     def add(self, x: float, y: float) -> None:
         """A sample [rad/s]; before the first, x was what y is."""
-        line, of_x = self._line, self._of_x
+        line, of_x, keep, dt = self._line, self._of_x, self._keep, self._dt
         line[1:] = line[:-1] if self._begun else y
         line[0], self._begun = x, True
-        self._of_y = self._keep * self._of_y + (self._dt, self._dt * y, self._dt * y * y)
-        of_x *= self._keep
-        of_x[0] += self._dt * line
-        of_x[1] += self._dt * line * line
-        of_x[2] += self._dt * y * line
+        weight, of_y, of_yy = self._of_y
+        self._of_y = keep * weight + dt, keep * of_y + dt * y, keep * of_yy + dt * y * y
+        of_x *= keep
+        weighed = dt * line
+        of_x[0] += weighed
+        of_x[1] += weighed * line
+        of_x[2] += dt * y * line
 
     @property
     def evidence(self) -> float:
@@ -74,7 +76,7 @@ class SignTest:
         ratio = _SIGNS * (xy / xx)
         gain = np.minimum(np.maximum(ratio, _GAINS[0]), _GAINS[1])
         right, wrong = np.maximum((yy + xx * gain * (gain - 2.0 * ratio)).min(axis=1), 0.0).tolist()
-        return (right - wrong) / (min(right, wrong) + _MISFIT * float(yy) + _NOISE**2 * _MEMORY)
+        return (right - wrong) / (min(right, wrong) + _MISFIT * yy + _NOISE**2 * _MEMORY)
 
 
 class SteeringSigns:
