@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +49,10 @@ def bin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Shell:
     """A bash in a folder of its own, and the programs that it has left running."""
 
-    def __init__(self, folder: Path, programs: Path):
-        self.folder, self.programs = folder, programs
-        self.forks = True
-        """May a command run in a fork of this process, whose steerkit is the checkout's?"""
+    def __init__(self, folder: Path, bin_folder: Path):
+        self.folder, self.programs = folder, bin_folder
+        self.fork: Callable[..., subprocess.CompletedProcess[str]] = programs.python
+        """Runs a command in a fork of a process, this one unless said otherwise, whose steerkit it has then."""
         self.values: dict[str, str] = {}
         """What lines have printed and later lines need, by name."""
         self.running: list[subprocess.Popen[str]] = []
@@ -82,12 +82,12 @@ class Shell:
             )
 
     def run(self, line: str) -> subprocess.CompletedProcess[str]:
-        """Run a line to its end: a command alone in a fork of this process, any other (or for completion) in bash."""
+        """Run a line to its end: a command alone in a fork, any other (or for completion) in bash."""
         command = re.match("steerkit |python ", line)
-        if self.forks and command and not re.search(r"[|;&<>$*`]|-completion", line):
+        if command and not re.search(r"[|;&<>$*`]|-completion", line):
             name, *words = shlex.split(line)
             words = [str(self.programs / "steerkit"), *words] if name == "steerkit" else words
-            return programs.python(*words, folder=self.folder, environment=self.environment, seconds=PATIENCE)
+            return self.fork(*words, folder=self.folder, environment=self.environment, seconds=PATIENCE)
         return subprocess.run(
             ["bash", "-c", f"set -o pipefail; {line}\nexit $?"],  # bash stays: a program may ask which shell it is in
             cwd=self.folder,
@@ -106,14 +106,6 @@ class Shell:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGTERM)
             process.wait(PATIENCE)
-
-
-def without_forks(folder: Path, programs: Path, site: Path) -> Shell:
-    """A shell to which steerkit is what stands in `site`, and nothing of the checkout."""
-    shell = Shell(folder, programs)
-    shell.forks, shell.environment["PYTHONPATH"] = False, str(site)
-    del shell.environment["CHECKOUT"]
-    return shell
 
 
 @pytest.fixture

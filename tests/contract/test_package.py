@@ -10,14 +10,15 @@ import tempfile
 import tomllib
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import steerkit
 from benchmarks.run.sources import source
-from tests.contract.test_commands import Shell, bin_folder, carried_out, learned, make, without_forks
+from tests.contract.test_commands import Shell, bin_folder, carried_out, learned, make
 from tests.support.compilers import optimising
-from tests.support.places import ROOT
+from tests.support.places import ROOT, SUPPORT
 from tests.support.shell_lines import DOORS, FITTED, blocks, lines_in, step, table
 
 __all__ = ["bin_folder", "learned"]  # fixtures
@@ -116,34 +117,56 @@ INSTALLING = 2
 MOST = 12
 """Commands that a page for users may take."""
 PROMPT = """
-import json, sys
-names = {"__name__": "__main__"}
+import json, pathlib, runpy, sys
+names, programs = {"__name__": "__main__"}, runpy.run_path(sys.argv[1])
 for line in sys.stdin:
-    exec(compile(json.loads(line), "page", "exec"), names)
+    match json.loads(line):
+        case str(code):
+            exec(compile(code, "page", "exec"), names)
+        case words, folder, how:
+            done = programs["python"](*words, folder=pathlib.Path(folder), **how)
+            print(json.dumps([done.returncode, done.stdout, done.stderr]))
     print("done", flush=True)
 """
 
 
 class Prompt:
-    """A Python that is given the blocks of a page, one after the other."""
+    """A Python that is given the blocks of a page, one after the other, and programs to run in forks of it."""
 
     def __init__(self, shell: Shell):
         how = {"cwd": shell.folder, "env": shell.environment, "text": True}
         self.errors = (shell.folder / "errors.txt").open("w+")
-        words = [sys.executable, "-c", PROMPT]
+        words = [sys.executable, "-c", PROMPT, str(SUPPORT / "programs.py")]
         self.process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, **how)
 
     def run(self, code: str) -> str:
         """What is wrong; empty: nothing."""
+        return "" if self.printed(code) else self.fault(code)
+
+    def fork(self, *words: str, folder: Path, **how: Any) -> subprocess.CompletedProcess[str]:
+        """As `tests.support.programs.python` does it here."""
+        lines = self.printed([words, str(folder), how])
+        assert lines, self.fault(words)
+        return subprocess.CompletedProcess(words, *json.loads(lines[-2]))
+
+    def printed(self, task: Any) -> list[str]:
+        """The lines that it prints, "done" the last; none: it ended."""
         assert self.process.stdin
         assert self.process.stdout
-        self.process.stdin.write(json.dumps(code) + "\n")
+        self.process.stdin.write(json.dumps(task) + "\n")
         self.process.stdin.flush()
-        if any(line == "done\n" for line in iter(self.process.stdout.readline, "")):
-            return ""
+        lines = []
+        for line in self.process.stdout:
+            lines.append(line)
+            if line == "done\n":
+                return lines
+        return []
+
+    def fault(self, task: Any) -> str:
+        """What it said at its end."""
         self.process.wait()
         self.errors.seek(0)
-        return f"{code}\n{self.errors.read()}"
+        return f"{task}\n{self.errors.read()}"
 
     def close(self) -> None:
         """End it."""
@@ -165,11 +188,15 @@ def test_a_page_for_users_leads_from_a_wheel_to_its_last_line(
     faults, count = [], INSTALLING
     with tempfile.TemporaryDirectory(prefix="steerkit-") as name, contextlib.ExitStack() as stack:
         folder = Path(name)
-        made = without_forks(folder, bin_folder, tmp_path) if alone else Shell(folder, bin_folder)
-        shell = stack.enter_context(contextlib.closing(made))
+        shell = stack.enter_context(contextlib.closing(Shell(folder, bin_folder)))
+        if alone:
+            shell.environment["PYTHONPATH"] = str(tmp_path)
+            del shell.environment["CHECKOUT"]
         if page.stem in FITTED:
             shell.environment["CC"] = optimising()
         prompt = stack.enter_context(contextlib.closing(Prompt(shell)))
+        if alone:
+            shell.fork = prompt.fork
         place = str(tmp_path if alone else ROOT)
         here = f"import steerkit; assert steerkit.__file__.startswith({place!r}), steerkit.__file__"
         assert prompt.run(here) == ""
