@@ -42,7 +42,7 @@ from steerkit.vehicles import VW_PASSAT as CAR
 from tests.support.compilers import optimising
 
 PAPER = course("paper")
-SECONDS = 3.0
+SECONDS = 2.0
 CARS = 5
 needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
 few = settings(max_examples=2, suppress_health_check=list(HealthCheck), derandomize=True)

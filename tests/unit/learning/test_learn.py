@@ -37,7 +37,8 @@ def test_offline_updates_start_from_the_nets_before() -> None:
 
 
 def test_a_log_makes_a_run_that_can_be_shown_and_goes_on(tmp_path: Path) -> None:
-    experiment = Experiment(setting=QUICK, scenario=Scenario(course="circle"), seed=3)
+    scenario = Scenario().with_(course={"name": "circle", "rounds": 0.2})  # of its test drives
+    experiment = Experiment(setting=QUICK, scenario=scenario, seed=3)
     place = tmp_path / "run"
     numbers: list[int] = []
     run = from_log(steered(slalom(T[:1200])), experiment, place, updates=2, watch=numbers.append)
