@@ -144,7 +144,7 @@ def test_calm_driving_shows_a_change_too_and_a_car_that_is_as_it_was_before_begi
 
 @pytest.mark.parametrize(("car", "speeds"), [(CAR, (4.0, 7.0)), (FAST, (12.0, 24.0))])
 def test_of_a_car_that_has_not_changed_the_whole_record_counts(car: CarModel, speeds: tuple[float, float]) -> None:
-    for samples, noise in ((0, 0.02), (4, 0.0), (9, 0.003), (9, 0.02)):
+    for samples, noise in ((0, 0.0), (0, 0.02), (4, 0.0), (9, 0.0), (9, 0.003), (9, 0.02)):
         record = late(samples, car=car, speeds=speeds, n=1500, noise=noise, straight=0.05)
         record = with_heading_of_yaw_rate(record) if car.fast else record
         assert since_change(record, 12) is record
