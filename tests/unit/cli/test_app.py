@@ -138,7 +138,7 @@ def finished(*words: str, **extra: str) -> subprocess.CompletedProcess[str]:
 def test_python_m_steerkit_version_and_exit_codes() -> None:
     done = finished("--version")
     assert (done.returncode, done.stdout) == (0, f"steerkit {steerkit.__version__}\n")
-    asked = finished("learn", "--bogus")
+    asked = finished("new", "--bogus")
     assert asked.returncode == 2
     assert "No such option: --bogus" in asked.stderr
     assert asked.stdout == ""

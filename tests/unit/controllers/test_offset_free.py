@@ -50,7 +50,7 @@ def lqr_beside() -> float:
 
 
 @pytest.mark.parametrize(
-    ("name", "beside"), [("stanley-delay", None), ("stanley", STANLEY_BESIDE), ("lqr", lqr_beside), ("mpc", None)]
+    ("name", "beside"), [("stanley-delay", None), ("stanley", STANLEY_BESIDE), ("lqr", lqr_beside)]
 )
 def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(
     name: str, beside: float | Callable[[], float] | None

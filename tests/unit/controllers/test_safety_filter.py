@@ -334,8 +334,10 @@ def followed(
     return x, said
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.1])
-@pytest.mark.parametrize(("late", "gain"), [(0, 1.0), (2, 1.0), (4, 1.0), (8, 0.8), (5, 1.25), (10, 1.0)])
+@pytest.mark.parametrize(
+    ("delay", "late", "gain"),
+    [(0.0, 0, 1.0), (0.1, 2, 1.0), (0.0, 4, 1.0), (0.1, 8, 0.8), (0.0, 5, 1.25), (0.1, 10, 1.0)],
+)
 def test_how_late_commands_arrive_is_found_beyond_the_doubt_whatever_the_ratio(
     delay: float, late: int, gain: float
 ) -> None:
