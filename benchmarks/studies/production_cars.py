@@ -323,8 +323,8 @@ def learned(piece: tuple[str, int, float, tuple[float, float] | None]) -> dict[s
     }
 
 
-def faulty(piece: tuple[str, str, int]) -> dict[str, Any]:
-    """One fault in mid-drive: port, fault, seed."""
+def faulty(piece: tuple[str, str, int], *, before: float = 4.0, after: float = PAUSES) -> dict[str, Any]:
+    """One fault in mid-drive: port, fault, seed; watched from so long before it until so long after it [s]."""
     name, what, seed = piece
     world = ProductionWorld(config_of(name), seed=seed)
     drive = drive_of(world, "lqr")
@@ -336,12 +336,12 @@ def faulty(piece: tuple[str, str, int]) -> dict[str, Any]:
             asked[0] = world.car.due
 
     world.car.listen = listen
-    while len(drive.e) < 80 and not drive.ended:
+    while len(drive.e) < round(before / DT) and not drive.ended:
         drive.step()
     begun, steered = world.t, asked[0]
     if what in FAULTS:
         world.car.faults.append(replace(FAULTS[what], start=begun))
-    for _ in range(round(PAUSES / DT)):
+    for _ in range(round(after / DT)):
         if what == KILLED[1]:
             break  # core and port are one process: nothing is sent any more
         if what == KILLED[0]:

@@ -153,7 +153,7 @@ def test_in_every_other_state_nothing_moves_one_fault_after_the_other(mode: Mode
     began, hand = world.t, list(world.car.faults)
     for case in CASES.values():
         case.act(world)
-        world.until(world.t + 0.15)
+        world.until(world.t + 0.1)
         assert world.mode is mode
         world.car.faults[:], world.tampered = hand, lambda basis, delta_sw: (basis, delta_sw)
         world.until(world.t + 0.05)

@@ -29,7 +29,7 @@ class Swapped(World):
 
 
 def swapped(kind: str, name: str, s: float, v: float, controller: str = "stanley", **untold: float) -> Swapped:
-    """Half a second by hand, then engaged; until it let go or 8 s have passed."""
+    """Half a second by hand, then engaged; until it let go or 6 s have passed."""
     config, _ = setup()
     block = loops.controller_named(controller, config, in_time=True).block
     world = Swapped(s=s, v=(v, v + 0.3), path=course(name), controller=block, **untold)
@@ -37,7 +37,7 @@ def swapped(kind: str, name: str, s: float, v: float, controller: str = "stanley
         world.car.faults.append(Fault(kind=kind, target="report", start=0.0))
     world.order(Order.ARM)
     engaged, psi = False, world.car.now.psi
-    while world.t < 8.0:
+    while world.t < 6.0:
         world.until(world.t + 0.02)
         if abs(world.car.on_path.e) > CLEAR or abs(world.car.now.psi - psi) > CLEAR:
             world.clear = min(world.clear, world.t)

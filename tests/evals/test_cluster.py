@@ -104,18 +104,18 @@ def command(port: int, *more: str) -> list[str]:
 
 @pytest.mark.skipif(find_spec("distributed") is None, reason="comes with the extra bench")
 def test_a_cluster_as_documented_and_killed_workers(start: Start, port: int, tmp_path: Path) -> None:
-    """All is done, with the numbers of this machine, though one of three workers is killed."""
+    """All is done, with the numbers of this machine, though one of two workers is killed."""
     begin(start, port, tmp_path)
     # those that are killed are without a nanny, another process that would be killed with them
-    ids = [worker(start, port, n, nanny=n == 2) for n in range(3)]
+    ids = [worker(start, port, n, nanny=n == 1) for n in range(2)]
     log = tmp_path / "scheduler.log"
-    until(lambda: log.read_text().count("Register worker") >= 3, "three workers")
+    until(lambda: log.read_text().count("Register worker") >= 2, "two workers")
     a_suite(start, port, tmp_path, ids[0])
 
 
 def a_suite(start: Start, port: int, tmp_path: Path, victim: int) -> None:
     """All cases are done, with the numbers of this machine, though a worker is killed on the way."""
-    run = start("run", command(port, "--seeds", "5", "--json"), environment())
+    run = start("run", command(port, "--seeds", "3", "--json"), environment())
     finished = lambda: len(list(tmp_path.glob("results/cases/*.json")))  # noqa: E731
     until(lambda: finished() >= 2 or run.poll() is not None, "two cases")
     before = finished()

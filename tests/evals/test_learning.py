@@ -15,9 +15,9 @@ SCENARIO = Scenario(course="calibration")  # 262 m, bends of 17 m to either side
 
 
 def learned(setting: Setting) -> tuple[LearningRun, Log]:
-    """A run until its first whole round (at most 11 minutes of driving), and half a one with the policy of its end."""
+    """A run until its first whole round (at most 11 minutes of driving), and a quarter of one with the policy of its end."""
     run = learn(Experiment(setting=setting, scenario=SCENARIO, minutes=11.0, rounds=1, seed=2))
-    return run, evaluate.drive(SCENARIO, run.policy, doe=setting.element(), seed=7, rounds=0.5, only_while_held=True)
+    return run, evaluate.drive(SCENARIO, run.policy, doe=setting.element(), seed=7, rounds=0.25, only_while_held=True)
 
 
 def test_both_learn_a_whole_round_from_nothing_and_the_integrating_element_is_smoother() -> None:
@@ -50,7 +50,7 @@ def test_a_car_whose_delay_grows_in_mid_drive_is_found_under_recovery_and_learne
     """The learner fails at once (it drives on through a change to 0.4 s); the recovery was told the old delay."""
     scenario = Scenario(course="random-71", steering={"delay": 0.1})
     run = LearningRun(Experiment(scenario=scenario, minutes=3.0, seed=1))
-    while run.t < 30.0:
+    while run.t < 15.0:
         run.drive()
     with_delay(run, 0.5)
     failures, good = run.counts.failures, 0

@@ -40,7 +40,7 @@ happenings = st.one_of(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(learner_state=st.lists(happenings, max_size=60), engaged=st.booleans())
 def test_noise_raises_nothing_and_moves_nothing(learner_state: list[Any], engaged: bool) -> None:
     core, t = Core(config(), course("paper")), 5.0

@@ -93,7 +93,7 @@ def test_without_consent_there_is_no_run(kit: CarConfig) -> None:
     world = world_of(kit)
     world.engage()
     world.go_on(lambda: "press g" in world.status)
-    world.until(world.t + 8.0)
+    world.until(world.t + 4.0)
     assert world.runs == []
     assert world.mode is Mode.ENGAGED
 
@@ -106,7 +106,7 @@ def test_a_key_before_the_question_is_no_consent(kit: CarConfig) -> None:
         world.proving.consent()
         world.until(world.t + 0.05)
         assert world.t < 60.0
-    world.until(world.t + 6.0)
+    world.until(world.t + 4.0)
     assert world.runs == []
 
 
@@ -138,7 +138,7 @@ def test_consent_is_for_one_run_after_a_warning_and_expires(kit: CarConfig) -> N
     world.go_on(lambda: bool(world.runs))
     assert world.runs[0]["begin"] - asked == pytest.approx(WARNING, abs=0.15)
     world.go_on(lambda: "press g" in world.status)
-    world.until(world.t + 5.0)
+    world.until(world.t + 3.0)
     assert len(world.runs) == 1
 
 

@@ -19,9 +19,9 @@ from tests.support.production import EACH, config, judged, ported, steered
 @pytest.mark.parametrize("name", EACH)
 def test_a_port_reads_the_simulated_car_and_the_safety_code_lets_it_steer(name: str) -> None:
     car = ported(name)
-    car.advance(1.2)
+    car.advance(0.8)
     quantum = car.config.writer.quantum
-    steered(car, 0.6, round(car.car.turned / quantum) * quantum)
+    steered(car, 0.4, round(car.car.turned / quantum) * quantum)
     port, counts, judge = car.port, car.car.counts, car.judge
     assert judge is not None
     assert port.steering, port.why
@@ -29,7 +29,7 @@ def test_a_port_reads_the_simulated_car_and_the_safety_code_lets_it_steer(name: 
     assert not judge.invalid
     assert not judge.relay_malfunction
     assert counts.not_in_order == counts.rejected == 0
-    assert counts.sent > 20
+    assert counts.sent > 15
     assert abs(port.state.vEgoRaw - car.now.v) < 0.1
     assert port.state.steeringAngleDeg == pytest.approx(
         math.degrees(car.car.turned), abs=1.6 if name == "TOYOTA_COROLLA" else 0.4
@@ -52,7 +52,7 @@ def test_what_a_car_says_is_what_the_port_tells(name: str) -> None:
         del cases["STEERING_FAULT"]  # opendbc knows none of this maker's
     t, rng = 0.0, np.random.default_rng(0)
     for k, (flag, said) in enumerate(cases.items()):
-        for _ in range(60):
+        for _ in range(45):
             t, said = t + 0.01, replace(said, v=20.0 + float(rng.normal()) * 0.02 + k)
             for frame in frames.send(said):
                 found.receive(t, Frame(*frame))
@@ -63,12 +63,12 @@ def test_what_a_car_says_is_what_the_port_tells(name: str) -> None:
 
 
 def test_the_other_way_of_reading_a_command_is_its_inverse() -> None:
-    for name in ("TESLA_MODEL_3", "FORD_MUSTANG_MACH_E_MK1", "VOLKSWAGEN_GOLF_MK7", "HYUNDAI_ELANTRA_2021"):
+    for name in ("TESLA_MODEL_3", "FORD_MUSTANG_MACH_E_MK1", "VOLKSWAGEN_GOLF_MK7"):
         car = ported(name)
         heard: list[Frame] = []
         car.listen = heard.append
-        car.advance(1.2)
-        steered(car, 0.3, -0.1)
+        car.advance(0.8)
+        steered(car, 0.2, -0.1)
         frame, command = next((f, c) for f in heard[::-1] if (c := car.car.frames.command(f.frame_id, f.data, 13.0)))
         by = 0.001 if car.car.platform.steered_by == "curvature" else 0.2
         changed = altered(car.car.frames, frame.frame_id, frame.data, by=by)

@@ -20,7 +20,7 @@ from tests.support.production import config, judged, ported, steered
 
 
 @judged
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(
     st.sampled_from(
         ["TESLA_MODEL_3", "NISSAN_LEAF", "TOYOTA_RAV4_TSS2_2023", "FORD_MUSTANG_MACH_E_MK1", "TOYOTA_COROLLA"]
@@ -82,8 +82,8 @@ def test_a_torque_s_limits_are_those_of_its_port(name: str) -> None:
 @judged
 def test_of_frames_that_break_a_limit_none_passes() -> None:
     for name in ("NISSAN_LEAF", "HYUNDAI_ELANTRA_2021"):
-        row = study.altered((name, 300, 3))
-        assert row["altered"] >= 300
+        row = study.altered((name, 200, 3))
+        assert row["altered"] >= 200
         assert row["passed"] == 0
         assert row["hostile"] > 10
         assert row["hostile_rejected"] == 0
