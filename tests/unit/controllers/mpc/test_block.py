@@ -226,7 +226,7 @@ def test_without_beta_the_fallback_is_asked_where_the_car_will_be(monkeypatch: p
     assert 0.05 < -broken.delta_sw < 0.4
 
 
-@pytest.mark.parametrize(("kind", "e", "psi_e_deg"), [(MPC, 3.0, 30.0), (NonlinearMPC, -3.0, 45.0)])
+@pytest.mark.parametrize(("kind", "e", "psi_e_deg"), [(MPC, 3.0, 30.0), (NonlinearMPC, -3.0, -45.0)])
 def test_a_start_far_off_and_askew_is_recovered(kind: Any, e: float, psi_e_deg: float) -> None:
     loop = loop_of(kind.of(CAR, **STEERING), path=straight(120.0), e=e, psi_e=math.radians(psi_e_deg))
     log = simulate(loop, 15.0)
