@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit.compiled import compile
+from steerkit.compiled import TraceError, compile
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Table
@@ -54,9 +54,16 @@ def simulated(manoeuvre: Manoeuvre, scenario: Scenario, *, controller: str = "st
                 runs.append(_driven(manoeuvre, scenario, controller, side, number, draw))
             else:
                 loop = open_loop(manoeuvre, scenario, side, draw, controller)
-                log = simulate(loop, _seconds(manoeuvre), allow_nonfinite=True)
-                runs.append(run_of(log, manoeuvre, side, number, -_wait(manoeuvre)))
+                runs.append(run_of(_log(loop, _seconds(manoeuvre)), manoeuvre, side, number, -_wait(manoeuvre)))
     return runs
+
+
+def _log(loop: Loop, seconds: float) -> Log:
+    """What `simulate` gives, bit for bit: of generated Python, in a third of the time, where all blocks allow that."""
+    try:
+        return compile(loop, backend="python").run(seconds, allow_nonfinite=True)
+    except TraceError:
+        return simulate(loop, seconds, allow_nonfinite=True)
 
 
 def _wait(manoeuvre: Manoeuvre) -> float:

@@ -20,6 +20,8 @@ from multiprocessing import util
 from pathlib import Path
 from typing import IO, Any
 
+from tests.support.places import ROOT
+
 SHARED = (
     *("PIL", "benchmarks", "can", "cantools", "filelock", "joblib", "matplotlib", "mpl_toolkits", "numpy", "pandas"),
     *("pydantic", "rich", "scipy", "steerkit", "typer"),
@@ -40,9 +42,22 @@ def python(
 ) -> subprocess.CompletedProcess[str]:
     """What `python WORDS` does and prints, in a fork of this process: its imports are there, all else is its own.
 
+    Where this process has imported jax, it starts from nothing.
+
     words: `-m MODULE ...`, `-c CODE ...` or `FILE ...`. What depends on a start from nothing (the time that it takes, a
     terminal, signals, a program that stays) starts `sys.executable` instead. Raises subprocess.TimeoutExpired.
     """
+    if "jax" in sys.modules:  # its threads do not live on in a fork, which would wait for them for ever
+        path = os.pathsep.join(filter(None, (environment.get("PYTHONPATH"), str(ROOT))))
+        return subprocess.run(
+            [sys.executable, *words],
+            cwd=folder,
+            env={**environment, "PYTHONPATH": path},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=seconds,
+        )
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err, tempfile.TemporaryFile("w+") as new:
         child = os.fork()
         if child == 0:
