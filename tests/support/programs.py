@@ -3,7 +3,6 @@
 import atexit
 import contextlib
 import importlib
-import json
 import os
 import runpy
 import select
@@ -105,8 +104,7 @@ def _become(
         warnings.filterwarnings("ignore", category=DeprecationWarning)
         warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]
         sys.path[:0] = [str(folder), *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
-        if cars := sys.modules.get("steerkit.car.processes"):
-            cars.start = _forked  # type: ignore[attr-defined]
+        subprocess.Popen = _Forked  # type: ignore[misc]
         if drawing := sys.modules.get("matplotlib.layout_engine"):  # a third of a short command's time
             drawing.ConstrainedLayoutEngine.execute = lambda *_: None  # type: ignore[attr-defined]
         code = _ended(words)
@@ -124,9 +122,12 @@ def _become(
 
 
 class _Forked(subprocess.Popen[str]):
-    """A car's process as a fork of a program that is one: its imports take longer than most drives of the tests."""
+    """`python -m MODULE ...` as a fork of a program that is one: imports take longer than most drives of the tests."""
 
-    def _execute_child(self, args: Sequence[str], *how: Any) -> None:
+    def _execute_child(self, args: Any, *how: Any) -> None:
+        if args[:2] != [sys.executable, "-m"] or how[4:6] != (None, None):  # another program, folder or environment
+            super()._execute_child(args, *how)  # type: ignore[misc]
+            return
         pipes = to_child, _, _, from_child, _, errors = how[9:15]  # as Popen orders them, -1: none
         sys.stdout.flush()  # else the child writes what waits in it to its own output
         sys.stderr.flush()
@@ -134,14 +135,16 @@ class _Forked(subprocess.Popen[str]):
         if self.pid == 0:
             code = 1
             try:
-                os.setsid()
+                if how[20]:  # start_new_session
+                    os.setsid()
                 for stream, number in ((to_child, 0), (from_child, 1), (errors, 2)):
                     if stream >= 0:
                         os.dup2(stream, number)
                 os.closerange(3, 1024)
                 sys.stdin = os.fdopen(0, closefd=False, encoding="utf-8")
                 sys.stdout, sys.stderr = (os.fdopen(n, "w", closefd=False, encoding="utf-8") for n in (1, 2))
-                code = sys.modules["steerkit.car.processes"].main(args[3:])
+                warnings.filterwarnings("ignore", category=RuntimeWarning, module="runpy")  # it was imported already
+                code = _ended(args[1:])
                 threading._shutdown()  # type: ignore[attr-defined]
             except BaseException:
                 sys.excepthook(*sys.exc_info())
@@ -151,12 +154,6 @@ class _Forked(subprocess.Popen[str]):
                 os._exit(code & 0xFF)
         self._child_created = True
         self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
-
-
-def _forked(name: str, arguments: Mapping[str, Any], **popen: Any) -> subprocess.Popen[str]:
-    """What `steerkit.car.processes.start` does."""
-    command = [sys.executable, "-m", "steerkit.car.processes", name, json.dumps(arguments)]
-    return _Forked(command, encoding="utf-8", start_new_session=True, **popen)
 
 
 def _ended(words: Sequence[str]) -> int:

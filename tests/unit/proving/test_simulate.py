@@ -1,5 +1,7 @@
 """Manoeuvres in simulation: any plant, repeats that differ where something is drawn, and a fleet as single cars."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -23,15 +25,16 @@ def test_a_run_is_straight_before_and_of_the_size_that_was_asked(plant: str) -> 
 
 
 def test_repeats_differ_where_something_is_drawn_by_lot() -> None:
-    one = manoeuvre("sine")
+    one = replace(manoeuvre("sine"), repeats=2)
     assert len(simulated(one, Scenario())) == 2
     gusts = Scenario(disturbances={"gust": 1.5})
     runs = simulated(one, gusts)
-    assert [(run.side, run.number) for run in runs] == [(s, k) for s in ("left", "right") for k in (1, 2, 3)]
+    assert [(run.side, run.number) for run in runs] == [(s, k) for s in ("left", "right") for k in (1, 2)]
     assert np.abs(runs[0]["r"] - runs[1]["r"]).max() > 1e-4
-    again = simulated(one, gusts)
+    left = replace(one, sides=("left",))
+    again = simulated(left, gusts)
     assert np.array_equal(again[1]["r"], runs[1]["r"])
-    other = simulated(one, gusts, seed=1)
+    other = simulated(left, gusts, seed=1)
     assert not np.array_equal(other[1]["r"], runs[1]["r"])
     found = evaluate(one, runs, PASSAT)
     assert found["yaw_lag"].high > found["yaw_lag"].low
