@@ -191,7 +191,7 @@ def estimated(drives: list[Drive], at: list[float], say: Callable[[str], None]) 
 
 def drives(options: argparse.Namespace) -> dict[str, Any]:
     """Errors and coverage over drawn drives."""
-    count, times = (4, [20.0]) if options.quick else (options.drives, list(TIMES))
+    count, times = (4, [12.0]) if options.quick else (options.drives, list(TIMES))
     backend: Backend = "python" if options.quick else "auto"  # of so short a drive, gcc would take most of the time
     every = []
     for number in range(options.first, options.first + count):

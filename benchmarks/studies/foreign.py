@@ -235,7 +235,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
             for seed in seeds
             for car in cars
             for speed in CARS[car].speeds[: 1 if quick else None]
-            for name in ADAPTIVE[: 1 if quick else None]
+            for name in ADAPTIVE[-1 if quick else 0 :]
             for lag in LAGS
         ]
     if part == "learner":

@@ -53,10 +53,10 @@ def coloured(rng: np.random.Generator, n: int, time: float) -> Array:
     return out
 
 
-def made(number: int) -> tuple[Drive, Vehicle, dict[str, float]]:
-    """A drive, the car that is believed (geometry and mass true), and the truth."""
+def made(number: int, seconds: float = SECONDS) -> tuple[Drive, Vehicle, dict[str, float]]:
+    """A drive that long [s], the car that is believed (geometry and mass true), and the truth."""
     rng = np.random.default_rng((39, number))
-    n = round(SECONDS / DT)
+    n = round(seconds / DT)
     t = DT * np.arange(n)
     stiff_f, stiff_r, ratio_x, offset, zero = rng.uniform(
         [0.8, 0.8, 0.8, -0.05, -0.005], [1.25, 1.25, 1.2, 0.05, 0.005]
@@ -123,9 +123,11 @@ def thirds(name: str) -> list[Identified]:
     return found
 
 
-def online(drives: list[tuple[Drive, Vehicle, dict[str, float]]]) -> list[tuple[str, str, bool, bool, float, float]]:
-    """What the estimators of a drive say while it lasts; all drives as one batch."""
-    at = np.arange(0.0, SECONDS - TASK_DT, TASK_DT)
+def online(
+    drives: list[tuple[Drive, Vehicle, dict[str, float]]], seconds: float = SECONDS
+) -> list[tuple[str, str, bool, bool, float, float]]:
+    """What the estimators of a drive say after half and at the end of so long [s]; all drives as one batch."""
+    at = np.arange(0.0, seconds - TASK_DT, TASK_DT)
     signals: dict[str, Array] = {}
     for name in ("delta_sw", "v", "r", "psi"):
         recorded = [getattr(drive, name) for drive, _, _ in drives]
@@ -137,7 +139,7 @@ def online(drives: list[tuple[Drive, Vehicle, dict[str, float]]]) -> list[tuple[
     found = []
     for k, t in enumerate(at):
         delay, told = ys = [block.output(t, x, ()) for block, x in zip(ways, xs)]
-        if k in (round(60.0 / TASK_DT), len(at) - 1):
+        if k in (round(0.5 * seconds / TASK_DT), len(at) - 1):
             for name, (y, port, scale, shift) in {
                 "steer_ratio": (told, "ratio", VW_PASSAT.steer_ratio, 0.0),
                 "understeer_gradient": (told, "understeer", 1.0, 0.0),
@@ -159,7 +161,7 @@ def online(drives: list[tuple[Drive, Vehicle, dict[str, float]]]) -> list[tuple[
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Its own command line options; --quick is six drives and no log."""
+    """Its own command line options; --quick is four drives of half the time, a quarter of it online, no log."""
     parser.add_argument("--drives", type=int, default=200, help="how many made drives (200)")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="which (all)")
 
@@ -167,10 +169,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All parts, and their table."""
     rows = list[tuple[str, str, bool, bool, float, float]]()  # part, name, told, holds, width, error
-    numbers = range(6 if options.quick else options.drives) if {"made", "online"} & {*options.parts} else range(0)
-    drives = [made(number) for number in track(numbers, "drives", console=Console(stderr=True))]
+    seconds = 0.5 * SECONDS if options.quick else SECONDS
+    numbers = range(4 if options.quick else options.drives) if {"made", "online"} & {*options.parts} else range(0)
+    drives = [made(number, seconds) for number in track(numbers, "drives", console=Console(stderr=True))]
     if "online" in options.parts:
-        rows += online(drives)
+        rows += online(drives, 0.25 * SECONDS if options.quick else SECONDS)
     if "made" in options.parts:
         for number, (drive, base, truth) in track(enumerate(drives), "fits", len(drives), console=Console(stderr=True)):
             found = identify(drive, base)

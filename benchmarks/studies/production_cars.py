@@ -386,7 +386,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "learning": (
             learned,
             [
-                (name, seed, 3.0 if options.quick else 60.0 * options.learn_minutes, options.speeds)
+                (name, seed, 1.5 if options.quick else 60.0 * options.learn_minutes, options.speeds)
                 for name in some
                 for seed in range(1 if options.quick else options.seeds)
             ],

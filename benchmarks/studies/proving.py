@@ -97,7 +97,9 @@ def coverage(draws: int, seed: int = 0) -> dict[str, float]:
         one, scenario = manoeuvre(which), linear(CARS[0])
         truth = closed_forms(scenario.nominal, one.conditions.v)
         for _ in range(draws):
-            for result in evaluate(one, [noisy(run, random) for run in clean(which, CARS[0])], scenario.nominal).results:
+            for result in evaluate(
+                one, [noisy(run, random) for run in clean(which, CARS[0])], scenario.nominal
+            ).results:
                 if result.quantity in truth:
                     held = result.low <= truth[result.quantity] <= result.high
                     hits.setdefault(f"{which}: {result.quantity}", []).append(held)
