@@ -19,8 +19,6 @@ from multiprocessing import util
 from pathlib import Path
 from typing import IO, Any
 
-from tests.support.places import ROOT
-
 SHARED = (
     *("PIL", "benchmarks", "can", "cantools", "filelock", "joblib", "matplotlib", "mpl_toolkits", "numpy", "pandas"),
     *("pydantic", "rich", "scipy", "steerkit", "typer"),
@@ -47,7 +45,8 @@ def python(
     terminal, signals, a program that stays) starts `sys.executable` instead. Raises subprocess.TimeoutExpired.
     """
     if "jax" in sys.modules:  # its threads do not live on in a fork, which would wait for them for ever
-        path = os.pathsep.join(filter(None, (environment.get("PYTHONPATH"), str(ROOT))))
+        here = str(Path(__file__).parents[2])  # nothing of tests is imported: it runs beside a wheel, too
+        path = os.pathsep.join(filter(None, (environment.get("PYTHONPATH"), here)))
         return subprocess.run(
             [sys.executable, *words],
             cwd=folder,

@@ -255,6 +255,7 @@ def test_work_that_is_not_equal_does_not_count() -> None:
 
 def test_where_jax_was_imported_a_program_is_no_fork(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = "import sys; print('pytest' in sys.modules)"
+    monkeypatch.delitem(sys.modules, "jax", raising=False)
     assert programs.python("-c", code, folder=tmp_path).stdout == "True\n"
     monkeypatch.setitem(sys.modules, "jax", ModuleType("jax"))
     assert programs.python("-c", code, folder=tmp_path).stdout == "False\n"
