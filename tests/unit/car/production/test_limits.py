@@ -18,13 +18,29 @@ from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import yaw_gain
 from tests.support.production import config, judged, ported, steered
 
+NAMES = ("TESLA_MODEL_3", "NISSAN_LEAF", "TOYOTA_RAV4_TSS2_2023", "FORD_MUSTANG_MACH_E_MK1", "TOYOTA_COROLLA")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_gate_itself_keeps_within_the_limits_of_its_port(name: str) -> None:
+    """The port behind it clips once more: a gate that let through too much would not be seen there."""
+    limits, port = config(name).gate, limits_of(platform(name), config(name).vehicle)
+    for v in (8.0, 15.0, 28.0):
+        rate = np.interp(v, *zip(*port.rates)) if port.rates else port.rate_max
+        last = felt = 0.0
+        for wish in np.repeat([12.0, -12.0], 150):
+            now = gate(limits, wish, last, (v,), 0.02).delta_sw
+            a_y = v * v * math.tan(now / limits.steer_ratio) / limits.length(v)
+            assert abs(now - last) <= 0.02 * rate
+            assert abs(a_y - felt) <= 0.02 * port.jerk_max
+            assert abs(a_y) <= port.a_y_max
+            last, felt = now, a_y
+
 
 @judged
 @settings(max_examples=5)
 @given(
-    st.sampled_from(
-        ["TESLA_MODEL_3", "NISSAN_LEAF", "TOYOTA_RAV4_TSS2_2023", "FORD_MUSTANG_MACH_E_MK1", "TOYOTA_COROLLA"]
-    ),
+    st.sampled_from(NAMES),
     st.lists(st.floats(-12.0, 12.0) | st.just(math.nan) | st.just(math.inf), min_size=4, max_size=8),
     st.floats(8.0, 28.0),
 )
@@ -61,7 +77,8 @@ def test_whichever_way_a_car_steers_the_gate_keeps_to_its_lateral_acceleration(
 ) -> None:
     """One that oversteers feels more of the same wheel; in steady cornering, to a quantum."""
     limits = replace(config("FORD_MUSTANG_MACH_E_MK1").gate, understeer=understeer)
-    last = 0.0
+    most = limits.steer_ratio * math.atan(limits.a_y_max / (v * yaw_gain(v, limits.wheelbase, understeer)))
+    last = min(most, limits.delta_sw_max)  # it turns too slowly to get there from 0 in so few frames
     for wish in wishes * 20:
         last = gate(limits, wish, last, (v,), 0.02).delta_sw
         felt = v * yaw_gain(v, limits.wheelbase, understeer) * math.tan(abs(last) / limits.steer_ratio)
