@@ -68,11 +68,30 @@ def test_a_slow_clock_that_only_speed_and_wheel_contradict_brings_nobody_off_the
     assert drive.excess() < 0.5
 
 
-@pytest.mark.parametrize(("name", "i"), [(name, i) for i, name in enumerate(LIARS) if i % 6 == i // 6])
-def test_a_lie_that_agrees_with_itself_leads_nobody_further_off_than_the_panel_says(name: str, i: int) -> None:
+LIES = (
+    ("the pose of another, perfect drive, bend", "own", 1.5, False, True, 12.0),
+    ("the pose of another drive, 3 % faster, bend", "own", 1.5, False, True, 12.0),
+    ("pose 0.8 m/s too fast in all, bend", "own", 1.5, False, True, 12.0),
+    ("pose 0.8 m/s too slow in all, straight", "pure-pursuit", 1.5, True, False, 15.0),
+    ("reckoned from a yaw rate 0.4 deg/s off, hidden, straight", "pure-pursuit", 1.5, True, False, 15.0),
+    ("reckoned from a yaw rate -0.4 deg/s off, told, straight", "pure-pursuit", 1.5, True, False, 15.0),
+    ("jumps of 0.24 m every 4.2 s, straight", "pure-pursuit", 1.5, True, False, 15.0),
+    ("a sideslip of 2 degrees that is none, straight", "pure-pursuit", 1.5, True, False, 15.0),
+    ("reckoned from a yaw rate 2.3 deg/s off, told, straight", "mpc", 2.0, True, False, 0.0),
+    ("reckoned from a yaw rate 2.3 deg/s off, told, straight", "lqr", 2.0, True, False, 0.0),
+    ("reckoned from a yaw rate 2.3 deg/s off, told, straight", "nfq", 2.0, True, False, 0.0),
+)
+"""A lie, controller, speed [m/s], is the car calibrated, kinematic, lead [m]: without the witness each leads the car
+off sooner than was said. Slower than that, in the 12 s that liars are watched, are values 5.5 % slower than time, jumps
+of 0.14 m, and a motor and its sensor of gain 0.6."""
+
+
+@pytest.mark.parametrize(("name", "controller", "speed", "known", "kinematic", "lead"), LIES)
+def test_a_lie_that_agrees_with_itself_leads_nobody_further_off_than_the_panel_says(
+    name: str, controller: str, speed: float, known: bool, kinematic: bool, lead: float
+) -> None:
     """At most 0.5 m for a calibrated car, 1 m for another; or else not sooner than was said when it began."""
-    controller, known = ["own", *CONTROLLERS][i % 5], i % 4 < 2
-    drive = lied_to(name, controller, SPEEDS[i % 3], known=known, kinematic=i % 2 == 1, seconds=6.0, found=12.0)
+    drive = lied_to(name, controller, speed, known=known, kinematic=kinematic, lead=lead, found=8.0)
     assert drive.engaged_at_onset()
     assert not sooner(drive, known=known)
     assert drive.bus_faults() == []
