@@ -189,7 +189,7 @@ def test_without_a_terminal_there_are_lines(tmp_path: Path) -> None:
 
 def test_a_calibration_is_guided_on_the_screen_and_q_ends_it_with_a_file(tmp_path: Path) -> None:
     words = ("car", "calibrate", "dbw-kit.toml", "--simulated", "--recording", "drive.mcap", "--minutes", "1")
-    with terminal(tmp_path, *words, "--time-scale", "0.5") as there:
+    with terminal(tmp_path, *words, *SLOWLY) as there:
         there.until(r"guide[\s\S]*until you engage[\s\S]*READY|READY[\s\S]*until you engage")
         there.press("e")
         screen = there.until(r"not yet[\s\S]*╰")

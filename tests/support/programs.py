@@ -15,7 +15,7 @@ import types
 import warnings
 import weakref
 from collections.abc import Mapping, Sequence
-from multiprocessing import util
+from multiprocessing import resource_tracker, util
 from pathlib import Path
 from typing import IO, Any
 
@@ -140,6 +140,8 @@ class _Forked(subprocess.Popen[str]):
                     if stream >= 0:
                         os.dup2(stream, number)
                 os.closerange(3, 1024)
+                tracker = resource_tracker._resource_tracker  # it was among those, if this process had used it
+                tracker._fd = tracker._pid = None  # type: ignore[attr-defined]
                 sys.stdin = os.fdopen(0, closefd=False, encoding="utf-8")
                 sys.stdout, sys.stderr = (os.fdopen(n, "w", closefd=False, encoding="utf-8") for n in (1, 2))
                 warnings.filterwarnings("ignore", category=RuntimeWarning, module="runpy")  # it was imported already
