@@ -18,20 +18,9 @@ def crc8_2f(data: bytes) -> int:
 
     Source: AUTOSAR, Specification of CRC Routines, Crc_CalculateCRC8H2F.
     """
-    crc = 0xFF
-    for byte in data:
-        crc = _CRC[crc ^ byte]
-    return crc ^ 0xFF
+    from fastcrc import crc8
 
-
-def _divided(byte: int) -> int:
-    for _ in range(8):
-        byte = byte << 1 ^ (0x12F if byte & 0x80 else 0)
-    return byte
-
-
-_CRC = bytes(map(_divided, range(256)))
-"""What is left of each byte divided by the polynomial."""
+    return crc8.autosar(data)
 
 
 @dataclass(frozen=True, kw_only=True)

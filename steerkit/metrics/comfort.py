@@ -26,15 +26,9 @@ def r79_acceleration(t: ArrayLike, a_y: ArrayLike) -> Array:
     values, dt = samples("r79_acceleration", a_y), step(t, "r79_acceleration", a_y)
     if dt > 0.25:
         raise ValueError(f"r79_acceleration: dt = {dt:g} s, expected <= 0.25 s for a cut-off of {R79_CUTOFF:g} Hz")
-    w, filtered = math.tan(math.pi * R79_CUTOFF * dt), values.tolist()
-    for pole in (0.125 * math.pi, 0.375 * math.pi):  # two sections, by hand: `scipy.signal` loads as long as a drive
-        damped, y1 = 2.0 * w * math.cos(pole), filtered[0]
-        a0, a1, a2 = 1.0 + damped + w * w, 2.0 * (1.0 - w * w), 1.0 - damped + w * w
-        x1 = x2 = y2 = y1
-        for k, x in enumerate(filtered):
-            y = (w * w * (x + 2.0 * x1 + x2) + a1 * y1 - a2 * y2) / a0
-            x2, x1, y2, y1, filtered[k] = x1, x, y1, y, y
-    return np.array(filtered)
+    sos = scipy.signal.butter(4, R79_CUTOFF, fs=1.0 / dt, output="sos")
+    filtered: Array = scipy.signal.sosfilt(sos, values, zi=scipy.signal.sosfilt_zi(sos) * values[0])[0]
+    return filtered
 
 
 def r79_jerk(t: ArrayLike, a_y: ArrayLike) -> Array:

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from steerkit import metrics
 from tests.support.sines import T, sine
@@ -27,14 +26,6 @@ def test_the_r79_filter_is_a_fourth_order_butterworth(dt: float, frequency: floa
     filtered = metrics.r79_acceleration(t, sine(frequency, t))[len(t) // 2 :]
     bent = math.tan(math.pi * frequency * dt) / math.tan(math.pi * 0.5 * dt)
     assert metrics.rms(filtered) * math.sqrt(2.0) == pytest.approx(1.0 / math.sqrt(1.0 + bent**8), rel=2e-3)
-
-
-@pytest.mark.parametrize("dt", [0.2, 0.01])
-def test_the_r79_filter_gives_the_numbers_of_scipy_s(dt: float) -> None:
-    a_y = 1.0 + np.cumsum(np.random.default_rng(0).normal(size=1000)) * 0.1
-    sos = signal.butter(4, 0.5, fs=1.0 / dt, output="sos")
-    expected = signal.sosfilt(sos, a_y, zi=signal.sosfilt_zi(sos) * a_y[0])[0]
-    np.testing.assert_allclose(metrics.r79_acceleration(dt * np.arange(1000), a_y), expected, atol=1e-10)
 
 
 def test_the_r79_jerk_of_a_sine_and_of_a_steady_bend() -> None:
