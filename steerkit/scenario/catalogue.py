@@ -217,8 +217,8 @@ recovery controllers and of cars steered by torque. Where a longer one is needed
 _ADAPTED_LAG = 0.1
 """Lag for which adaptive Stanley and LQR are made [s]. Of dead time and lag only the sum shows while driving, so the
 lag told is no number on which the drive hangs: up to this and `_CAUTION` it changes nothing, and what is told beyond it
-is where the sum begins. MPC is made for the lag told, which is worth more to it: on a calibrated car another one costs
-it three times the error."""
+is where the sum begins; a recovery, which has to catch at once, begins with all of it. MPC is made for the lag told,
+which is worth more to it: on a calibrated car another one costs it three times the error."""
 _SURE = 0.015
 """Deviation up to which an adaptive controller of a car steered by torque believes at once that its dead time is
 shorter [s]; a recovery, which is slower, always does."""
@@ -241,7 +241,8 @@ def _adapting(
     recovers: bool = False,
     takes_turns: bool = False,
 ) -> Adaptive:
-    told = design_model.delay + max(design_model.lag - lag - _CAUTION, 0.0)
+    later = design_model.lag - lag
+    told = design_model.delay + (later if recovers else max(later - _CAUTION, 0.0))
     least = _LATE if recovers or design_model.slew is not None else _DEAD_TIME
     longest = max(least, min(told + _CAUTION, _LONGEST))
     delays = tuple(i / 10.0 for i in range(math.ceil(10.0 * longest - 1e-6) + 1))
