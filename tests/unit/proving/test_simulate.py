@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from steerkit import Scenario
+from steerkit.compiled import TraceError
+from steerkit.proving import simulate
 from steerkit.proving.evaluate import evaluate
 from steerkit.proving.manoeuvre import manoeuvre, names
 from steerkit.proving.simulate import differing, of_fleet, on_course, simulated
@@ -38,6 +40,18 @@ def test_repeats_differ_where_something_is_drawn_by_lot() -> None:
     assert not np.array_equal(other[1]["r"], runs[1]["r"])
     found = evaluate(one, runs, PASSAT)
     assert found["yaw_lag"].high > found["yaw_lag"].low
+
+
+def test_what_cannot_be_compiled_is_interpreted_with_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = replace(manoeuvre("step-steer"), sides=("left",))
+    (compiled,) = simulated(one, Scenario())
+
+    def refused(*_: object, **__: object) -> None:
+        raise TraceError("a block that looks at its numbers")
+
+    monkeypatch.setattr(simulate, "compile", refused)
+    (interpreted,) = simulated(one, Scenario())
+    assert all(np.array_equal(interpreted[name], compiled[name]) for name in ("r", "a_y", "delta_sw", "v"))
 
 
 def test_steering_s_delay_is_in_the_lag_of_a_request() -> None:
