@@ -74,8 +74,7 @@ def test_mistakes_teach(kept: Path, tmp_path: Path) -> None:
 
 def test_the_car_points_where_it_drives(record: Record) -> None:
     log = with_heading(record)
-    # at a higher angle its centre of gravity moves across by more than the bound: l_r tan(delta)/L
-    fast = np.flatnonzero((log["car.v"] > 3.0) & (abs(log["car.delta_sw"]) < 5.0))[5:-5:10]
+    fast = np.flatnonzero(log["car.v"] > 3.0)[5:-5:40]
     course = np.arctan2(log["car.y"][fast + 1] - log["car.y"][fast], log["car.x"][fast + 1] - log["car.x"][fast])
     off = np.angle(np.exp(1j * (log["car.psi"][fast] - course)))
     assert np.abs(off).max() < 0.25  # sideslip
