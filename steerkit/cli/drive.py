@@ -75,16 +75,13 @@ def drive(
     asked = asked or [controller] * bool(controller)
     name = asked[0] if asked else ""
     if options.car:
-        if len(asked) > 1:
-            raise ValueError(f"drive: {len(asked)} controllers ({', '.join(asked)}), expected one on a car")
-        if not name:
-            raise ValueError(f"drive: with which controller? valid: {loops.VALID}")
+        require(len(asked) < 2, "drive", f"{len(asked)} controllers ({', '.join(asked)}), expected one on a car")
+        require(name, "drive", f"with which controller? valid: {loops.VALID}")
         figures = car_session.drive(car_options(options, options.car), name, minutes=minutes)
         if options.as_json:
             print(json.dumps(figures))
         return
-    if not name:
-        raise ValueError(f"drive: with which controller? valid: {_VALID}")
+    require(name, "drive", f"with which controller? valid: {_VALID}")
     if animate is not None:
         film_writer(animate)
     folder = out is None or out.is_dir() or not out.exists()

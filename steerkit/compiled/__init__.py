@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from steerkit._support.errors import require
 from steerkit._support.native import NoCompilerError, compiler
 from steerkit.compiled.native_program import NativeProgram
 from steerkit.compiled.python_code import PythonProgram
@@ -48,10 +49,8 @@ def compile(
     Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError for backend "c" without
     a compiler; KeyError for an unknown signal; ValueError for a bad argument.
     """
-    if every < 1:
-        raise ValueError(f"compile: every = {every}, expected a whole number >= 1")
-    if backend not in ("auto", "python", "c"):
-        raise ValueError(f"compile: backend {backend!r}; valid: auto, python, c")
+    require(every >= 1, "compile", f"every = {every}, expected a whole number >= 1")
+    require(backend in ("auto", "python", "c"), "compile", f"backend {backend!r}; valid: auto, python, c")
     if backend != "python" and not compiler():
         if backend == "c":
             raise NoCompilerError("compile: backend 'c' needs a C compiler: install gcc or set CC; or 'python'")
@@ -127,14 +126,10 @@ class Compiled:
         return log
 
     def _values(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        unknown = [name for name in given if name not in self.parameters]
-        if unknown:
-            open_ones = ", ".join(self.parameters) or "none"
-            raise ValueError(
-                f"run: parameter '{unknown[0]}' was not left open, compile(parameters=[...]); open: {open_ones}"
-            )
-        present = dict(self._present)
+        present, open_ones = dict(self._present), ", ".join(self.parameters) or "none"
         for name, value in given.items():
+            left_open = f"parameter '{name}' was not left open, compile(parameters=[...]); open: {open_ones}"
+            require(name in present, "run", left_open)
             old = present[name]
             if isinstance(old, tuple) and len(value) != len(old):
                 raise ValueError(f"run: parameter '{name}' of length {len(value)}, expected {len(old)} numbers")

@@ -88,8 +88,7 @@ class Port(NamedTuple):
 class Block:
     """Abstract base of every part of a loop: parameters in fields, ports as class attributes, state outside.
 
-    A subclass is a frozen keyword-only dataclass with `In` and `Out` attributes, a field `dt` [s] (its sample
-    time) and
+    A subclass is a frozen keyword-only dataclass with `In` and `Out` attributes, a field `dt` [s] (sample time) and
 
     * `init(batch)`: the state at t = 0: a flat tuple of scalars, each a float, or an `(N,)` array for `batch=(N,)`;
     * `output(t, x, u)`: the outputs `y` at time t [s]; `u` holds the direct inputs only;

@@ -180,8 +180,7 @@ class Recorder:
 def joined(logs: Sequence[Log]) -> Log:
     """Logs of the same signals, one after the other, as one."""
     logs = [log for log in logs if len(log.t)] or list(logs[:1])
-    if not logs:
-        raise ValueError("joined: no logs to join")
+    require(logs, "joined", "no logs to join")
     signals = {name: np.concatenate([log.signals[name] for log in logs]) for name in logs[0].signals}
     return Log(np.concatenate([log.t for log in logs]), signals, logs[0].units)
 
@@ -207,17 +206,13 @@ def simulate(
     Raises ValueError for a bad argument; NonFiniteError, with the log so far, when a recorded signal became NaN or
     infinite, unless `allow_nonfinite`. An exception inside a block is raised with a note saying which tick it was.
     """
-    if not (np.isfinite(duration) and duration > 0.0):
-        raise ValueError(f"simulate: duration = {duration} s, expected a finite number > 0")
-    if every < 1:
-        raise ValueError(f"simulate: every = {every}, expected a whole number >= 1")
-    if state is not None and batch is not None:
-        raise ValueError("simulate: give state or batch, not both; the state knows its number of cars")
-    require(
-        isinstance(loop, Loop),
-        "simulate",
-        f"{type(loop).__name__} is no Loop; expected steering_loop(...) or Loop(...)",
-    )
+    forever = np.isfinite(duration) and duration > 0.0
+    require(forever, "simulate", f"duration = {duration} s, expected a finite number > 0")
+    require(every >= 1, "simulate", f"every = {every}, expected a whole number >= 1")
+    one = state is None or batch is None
+    require(one, "simulate", "give state or batch, not both; the state knows its number of cars")
+    other = f"{type(loop).__name__} is no Loop; expected steering_loop(...) or Loop(...)"
+    require(isinstance(loop, Loop), "simulate", other)
     start = loop.init(batch=batch) if state is None else state
     recorder = Recorder(loop, record)
     x, y = list(start.x), list(start.y)

@@ -125,8 +125,7 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
         return tuple(data) if isinstance(data, list) else data
     name = str(data.get("kind", default.__name__ if default else None))
     kind: Any = imported(name, where) if is_outside(name) else KINDS.get(name)
-    if kind is None:
-        raise ValueError(f"{where}: kind {name!r} is not known; valid: {', '.join(KINDS)}, package.module:Class")
+    require(kind is not None, where, f"kind {name!r} is not known; valid: {', '.join(KINDS)}, package.module:Class")
     fits, known = isinstance(kind, type) and is_dataclass(kind), (Scenario, Setting, FitSetting, Experiment)
     part = fits and (issubclass(kind, known) or any("__call__" in vars(base) for base in kind.__mro__))
     expected = "a dataclass that extends Scenario or Setting, or a cost"  # and nothing else that could be imported
@@ -137,8 +136,7 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     inside = {"setting": Setting, "scenario": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
     valid = [f.name for f in fields(kind)]
     for key in data:
-        if key != "kind" and key not in valid:
-            raise ValueError(f"{where}: {name} has no field '{key}'; valid: {', '.join(valid)}")
+        require(key in ("kind", *valid), where, f"{name} has no field '{key}'; valid: {', '.join(valid)}")
     values = {k: from_plain(v, f"{where}.{k}", inside.get(k)) for k, v in data.items() if k != "kind"}
     for f in fields(kind):
         value = values.get(f.name, f.default)

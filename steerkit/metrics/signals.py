@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from steerkit._support.errors import require
 from steerkit.diagram.units import degrees_of
 
 Array = NDArray[np.float64]
@@ -32,8 +33,7 @@ def magnitude_at(signal: ArrayLike, share: float = 0.95) -> float:
     Source: Hyndman, Fan 1996, definition 7.
     """
     values = np.abs(samples("magnitude_at", signal))
-    if not 0.0 <= share <= 1.0:
-        raise ValueError(f"magnitude_at: share {share:g} [1], expected 0 to 1")
+    require(0.0 <= share <= 1.0, "magnitude_at", f"share {share:g} [1], expected 0 to 1")
     return float(np.quantile(values, share))
 
 
@@ -63,8 +63,7 @@ def rates(t: ArrayLike, signal: ArrayLike) -> Array:
 def accelerations(t: ArrayLike, signal: ArrayLike) -> Array:
     """Second difference of a signal over dt^2 [unit/s^2], (T - 2,). Raises ValueError for fewer than three samples."""
     values, dt = samples("accelerations", signal), step(t, "accelerations", signal)
-    if len(values) < 3:
-        raise ValueError(f"accelerations: {len(values)} samples, expected at least 3")
+    require(len(values) >= 3, "accelerations", f"{len(values)} samples, expected at least 3")
     return np.diff(values, 2) / dt**2
 
 
@@ -77,11 +76,8 @@ def lateral_jerk(t: ArrayLike, a_y: ArrayLike) -> Array:
     """
     values, dt = samples("lateral_jerk", a_y), step(t, "lateral_jerk")
     n = round(JERK_WINDOW / dt)
-    if n < 2 or len(values) <= n:
-        raise ValueError(
-            f"lateral_jerk: {len(values)} samples at dt = {dt:g} s, expected dt <= 0.25 s and more than "
-            f"{JERK_WINDOW} s of record"
-        )
+    expected = f"expected dt <= 0.25 s and more than {JERK_WINDOW} s of record"
+    require(2 <= n < len(values), "lateral_jerk", f"{len(values)} samples at dt = {dt:g} s, {expected}")
     return (values[n:] - values[:-n]) / (n * dt)
 
 
@@ -98,11 +94,9 @@ def reversal_rate(t: ArrayLike, delta_sw: ArrayLike, *, gap_deg: float = 3.0, cu
     from scipy.signal import butter, filtfilt
 
     angle, dt = degrees_of(samples("reversal_rate", delta_sw)), step(t, "reversal_rate", delta_sw)
-    if len(angle) <= 10 or not 0.0 < cutoff < 0.5 / dt or not gap_deg > 0.0:
-        raise ValueError(
-            f"reversal_rate: {len(angle)} samples at dt = {dt:g} s, cutoff {cutoff:g} Hz, gap {gap_deg:g} deg; "
-            "expected more than 10 samples, 0 < cutoff < 0.5/dt and gap > 0"
-        )
+    given = f"{len(angle)} samples at dt = {dt:g} s, cutoff {cutoff:g} Hz, gap {gap_deg:g} deg"
+    fits = len(angle) > 10 and 0.0 < cutoff < 0.5 / dt and gap_deg > 0.0
+    require(fits, "reversal_rate", f"{given}; expected more than 10 samples, 0 < cutoff < 0.5/dt and gap > 0")
     if not np.isfinite(angle).all():
         return float("nan")
     smooth = filtfilt(*butter(2, cutoff, fs=1.0 / dt), angle, padlen=6)
@@ -126,8 +120,8 @@ def _rises(points: Array, gap: float) -> int:
 def samples(where: str, signal: ArrayLike) -> Any:
     """The signal as floats (T,); raises ValueError for anything else."""
     values = np.asarray(signal, dtype=float)
-    if values.ndim != 1 or not len(values):
-        raise ValueError(f"{where}: signal of shape {values.shape}, expected (T,) with T >= 1: one car, one signal")
+    one = values.ndim == 1 and len(values) > 0
+    require(one, where, f"signal of shape {values.shape}, expected (T,) with T >= 1: one car, one signal")
     return values
 
 
@@ -136,11 +130,10 @@ def step(t: ArrayLike, where: str, signal: ArrayLike | None = None) -> float:
     times = samples(where, t)
     if signal is not None and np.shape(signal) != times.shape:
         raise ValueError(f"{where}: signal of shape {np.shape(signal)}, expected that of t, {times.shape}")
-    if len(times) < 2:
-        raise ValueError(f"{where}: t has {len(times)} sample, expected at least 2")
+    require(len(times) >= 2, where, f"t has {len(times)} sample, expected at least 2")
     dt = float(times[-1] - times[0]) / (len(times) - 1)
-    if not (math.isfinite(dt) and dt > 0.0 and float(np.abs(np.diff(times) - dt).max()) < 1e-3 * dt):
-        raise ValueError(f"{where}: t is not evenly spaced and rising; resample the signals first")
+    even = math.isfinite(dt) and dt > 0.0 and float(np.abs(np.diff(times) - dt).max()) < 1e-3 * dt
+    require(even, where, "t is not evenly spaced and rising; resample the signals first")
     return dt
 
 

@@ -25,8 +25,7 @@ class LinearSingleTrack(SingleTrack):
     Kinematic rolling (below 3 m/s): beta_k = atan(l_r/L tan(delta)), r_k = v cos(beta_k) tan(delta)/L.
 
     Ports, state, valid range, errors: see `SingleTrack`; sway = beta. The tyres never let go: a_y is not limited, so
-    the model holds up to about 4 m/s^2. Source: Riekert, Schunck 1940; Rajamani 2012,
-    section 2.3.
+    the model holds up to about 4 m/s^2. Source: Riekert, Schunck 1940; Rajamani 2012, section 2.3.
     """
 
     @cached_property

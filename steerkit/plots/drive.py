@@ -41,18 +41,7 @@ def learning(log: Log, *, title: str, seconds: float | None = None) -> Any:
         seconds = float(log.t[-1])
     keep = log.t <= seconds
     t, e, learns = log.t[keep], log["path.e"][keep], log["supervisor.learning"][keep] > 0.5
-    axis.fill_between(
-        t,
-        0,
-        1,
-        where=~learns,
-        transform=axis.get_xaxis_transform(),
-        color=COLOURS["recovery"],
-        alpha=0.75,
-        lw=0,
-        step="post",
-        label="recovery steers",
-    )
+    shade_recovery(axis, t, learns)
     for level in (-TRIP, TRIP):
         axis.axhline(level, color=COLOURS["limit"], lw=0.8, ls="--", label="|e| = 0.5 m" if level > 0 else None)
     axis.plot(t, e, color=COLOURS["learned"], lw=0.9)
@@ -62,6 +51,12 @@ def learning(log: Log, *, title: str, seconds: float | None = None) -> Any:
     axis.set_xlabel("driving time [s]")
     axis.legend(loc="upper right", ncols=2)
     return figure
+
+
+def shade_recovery(axis: Any, t: Any, learns: Any) -> None:
+    """Shade an axis where the recovery controller steers; learns: does the learner, at the times t (n,) [s]?"""
+    look: dict[str, Any] = dict(color=COLOURS["recovery"], alpha=0.75, lw=0, step="post", label="recovery steers")
+    axis.fill_between(t, 0, 1, where=~learns, transform=axis.get_xaxis_transform(), **look)
 
 
 @styled

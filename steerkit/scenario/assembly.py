@@ -52,11 +52,10 @@ def steering_loop(
 ) -> Loop:
     """The standard wires between a car on a path, its driver and its steering controllers.
 
-    controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into
-    an angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default:
-    0.5 m and 0.1 m, and the doe's stops), which judges |e|, or the `distance` of `foresight`; the controller is
-    then `ExceptionGuard`, so that an exception in it is a fault that the supervisor answers. actuator: between the
-    command
+    controller: steers by itself (an output `delta_sw`), or picks actions (an output `action`) that `doe` turns into an
+    angle. recovery: an analytic controller that steers while the learner is off, through `supervisor` (default: 0.5 m
+    and 0.1 m, and the doe's stops), which judges |e|, or the `distance` of `foresight`; the controller is then
+    `ExceptionGuard`, so that an exception in it is a fault that the supervisor answers. actuator: between the command
     and the wheel (none: the command is the angle); link: between the command and the actuator; column: between the
     actuator and the road wheels, and then it says what is measured of the wheel. sensors: what the controllers see of
     the car (none: the truth). safety: a `SafetyFilter` between whoever steers and the wheel; the doe goes on from what

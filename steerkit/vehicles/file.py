@@ -64,8 +64,7 @@ def _value(value: Any) -> str:
 def table_of(text: str, name: str, where: str) -> dict[str, Any]:
     """One table of a vehicle file; raises ValueError naming the file and what it lacks."""
     tables = tables_of(text, where)
-    if not isinstance(tables.get(name), dict):
-        raise ValueError(f"{where}: no table [{name}]; it holds {', '.join(tables)}")
+    require(isinstance(tables.get(name), dict), where, f"no table [{name}]; it holds {', '.join(tables)}")
     return tables[name]
 
 

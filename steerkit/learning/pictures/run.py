@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
 from steerkit.learning.pictures.policy import policy_map
 from steerkit.paths.path import Path
-from steerkit.plots.drive import round_driven
+from steerkit.plots.drive import round_driven, shade_recovery
 from steerkit.plots.style import COLOURS, new_figure, save, styled
 from steerkit.task import GOAL
 
@@ -98,11 +98,9 @@ class Record:
 def learning_curve(record: Record) -> Figure:
     """How long the learner steered, RMS e over the last seconds, and failures; shaded: recovery steers."""
     figure, (held, error, count) = new_figure(3, title=f"{record.name}: learning curve", width=10.5)
-    shade: dict[str, Any] = dict(color=COLOURS["recovery"], alpha=0.75, lw=0, step="post", label="recovery steers")
     colour, mark, end = COLOURS["learned"], COLOURS["limit"], float(record.log.t[-1])
     for axis in (held, error, count):
-        span = axis.get_xaxis_transform()
-        axis.fill_between(record.log.t, 0, 1, where=~record.learning, transform=span, **shade)
+        shade_recovery(axis, record.log.t, record.learning)
     for episode in record.episodes:
         t = np.geomspace(0.1, max(0.1, record.ended(episode) - episode.began), 60)
         held.plot(episode.began + t, t, color=colour, lw=1.2)
