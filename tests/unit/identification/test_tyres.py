@@ -99,13 +99,13 @@ def test_left_and_right_are_alike() -> None:
 
 
 def test_intervals_hold_the_truth_under_noise() -> None:
-    """22 of 24 at least: 95 % of 24 independent ones would hold less with 3 %; they are wide for C and E not known."""
+    """14 of 16 at least: 95 % of 16 independent ones would hold less with 4 %; they are wide for C and E not known."""
     held = []
-    for seed in range(6):
+    for seed in range(4):
         found = identify_tyres(made(seed=seed, noise=0.1), VW_PASSAT)
         held += [found[name].low <= TRUE[name] <= found[name].high for name in ("c_f", "c_r", "mu_f", "mu_r")]
         assert found["c_f"].high / found["c_f"].low < 2.0
-    assert sum(held) >= 22
+    assert sum(held) >= 14
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])
@@ -140,7 +140,7 @@ def test_the_yaw_rate_alone_tells_less() -> None:
 
 def test_a_throttle_tells_the_drivetrain() -> None:
     """v' = 4 u - 0.2 - 0.0006 v^2 less what the front tyres brake; without a throttle the reason is said."""
-    drive = made(seconds=120.0)
+    drive = made(seconds=60.0)
     bend = drive.v * drive.r * (drive.delta_sw + 0.03) / VW_PASSAT.steer_ratio * VW_PASSAT.l_r / VW_PASSAT.wheelbase
     u = (np.gradient(drive.v, DT) + bend + 0.2 + 0.0006 * drive.v**2) / 4.0
     found = identify_tyres(replace(drive, throttle=u))

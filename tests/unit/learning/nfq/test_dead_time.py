@@ -39,32 +39,35 @@ def late(
     action: float = 1.0,
 ) -> Transitions:
     """What is recorded of a car where its motion is `samples` late, in bends, in episodes of 60 samples."""
-    rng, record = np.random.default_rng(seed), Transitions((*COLUMNS, "kappa"))
-    for episode in range(n // 60):
+    rng, record, drawn = np.random.default_rng(seed), Transitions((*COLUMNS, "kappa")), []
+    for _ in range(n // 60):
         angles, actions = [0.0] * (samples + 2), []
         for _ in range(62 + samples):
             actions.append(action * float(rng.choice(ACTIONS)) - 0.1 * angles[-1])
             angles.append(angles[-1] + actions[-1])
-        kappa = (0.004 if car.fast else 0.03) * np.sin(0.15 * np.arange(62 + samples) + episode)
-        s = np.array([[0.0, rng.normal(0.0, 0.1), rng.uniform(*speeds), rng.normal(0.0, 0.05), 0.0, 0.0]])
-        if car.fast:  # the yaw rate is its w
-            s[0, 4] = car.yaw * (s[0, E_DOT] - s[0, V] * s[0, PSI_E]) - s[0, V] * kappa[0]
-        rows, felt = [], Felt(*[np.array([-straight])] * 3)
-        for k in range(61):
-            old = angles[k + 1 : k + 3]  # the angle that acted before, and the one that acts in this sample
-            s[0, DOE] = old[1] - straight
-            rows.append(np.append(s[0], kappa[k]))
-            following = car.step(s, np.array([angles[k + 3] - old[1]]), np.array([old[0] - straight]), felt)
-            felt = car.after(s, following[:, DOE], felt)
-            following[0, 4] -= s[0, V] * (kappa[k + 1] - kappa[k])
-            s = following
-        motion = np.array(rows)
+        begins = [0.0, rng.normal(0.0, 0.1), rng.uniform(*speeds), rng.normal(0.0, 0.05), 0.0, 0.0]
+        seen = rng.normal(0.0, 0.01, 61) if car.fast else np.zeros(61)
+        drawn.append((angles, actions, begins, seen, rng.standard_normal((61, 2))))
+    wheel, taken, s, heading, noises = map(np.array, zip(*drawn))  # all episodes at once: (episode, ...)
+    bend = 0.15 * np.arange(62 + samples) + np.arange(len(drawn))[:, None]
+    kappa = (0.004 if car.fast else 0.03) * np.sin(bend)
+    if car.fast:  # the yaw rate is its w
+        s[:, 4] = car.yaw * (s[:, E_DOT] - s[:, V] * s[:, PSI_E]) - s[:, V] * kappa[:, 0]
+    rows, felt = [], Felt(*[np.full(len(s), -straight)] * 3)
+    for k in range(61):
+        old = wheel[:, k + 1 : k + 3].T  # the angle that acted before, and the one that acts in this sample
+        s[:, DOE] = old[1] - straight
+        rows.append(np.column_stack((s, kappa[:, k])))
+        following = car.step(s, wheel[:, k + 3] - old[1], old[0] - straight, felt)
+        felt = car.after(s, following[:, DOE], felt)
+        following[:, 4] -= s[:, V] * (kappa[:, k + 1] - kappa[:, k])
+        s = following
+    for episode, motion in enumerate(np.stack(rows, axis=1)):
         if car.fast:  # as it is seen, without that w
-            motion[:, PSI_E] = rng.normal(0.0, 0.01, 61)
-        motion[:, [1, 4]] += noise * rng.standard_normal((61, 2))
-        motion[:, DOE] = angles[samples + 2 : samples + 63]
-        taken = np.array(actions[1:61])
-        record.extend(motion[:-1], taken, motion[1:], episode)
+            motion[:, PSI_E] = heading[episode]
+        motion[:, [1, 4]] += noise * noises[episode]
+        motion[:, DOE] = wheel[episode, samples + 2 : samples + 63]
+        record.extend(motion[:-1], taken[episode, 1:61], motion[1:], episode)
     return record
 
 
