@@ -230,8 +230,8 @@ class Adaptive(Block):
     def _seen(self, block: Block, ports: Any, u: Any, ratio: Scalar) -> Any:
         """The inputs of one controller: its own preview, and the measured wheel in terms of the data sheet's ratio."""
         values = {name: getattr(u, name) for name in ports._fields}
-        points: int = getattr(block, "preview_points", 0)
         if "preview" in values:
+            points: int = getattr(block, "preview_points", 0)  # to ask one that has none takes as long as the law
             values["preview"] = tuple([values["preview"][i] for i in range(points)])
         if "delta_sw_meas" in values:
             values["delta_sw_meas"] = values["delta_sw_meas"] / ratio
