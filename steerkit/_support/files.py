@@ -87,7 +87,8 @@ def atomic_write(file: File, *, durable: bool = True) -> Iterator[FilePath]:
     try:
         yield draft
         if durable:
-            _flush(draft)
+            with draft.open("rb") as stream:
+                sync(stream)
         os.replace(draft, target)
     except BaseException as error:
         error.add_note(f"{file} was not written; what was there before is unchanged")
@@ -264,8 +265,3 @@ def read_arrays(file: File, kind: str, *, largest: int = LARGEST) -> dict[str, N
 def sync(stream: IO[bytes]) -> None:
     """Wait until the disk has what was written to an open file, as far as the operating system has it."""
     os.fsync(stream.fileno())
-
-
-def _flush(file: FilePath) -> None:
-    with file.open("rb") as stream:
-        sync(stream)

@@ -38,8 +38,7 @@ def compiler() -> tuple[str, ...] | None:
 
 @functools.cache
 def directory() -> Path:
-    """Where libraries are kept: $XDG_CACHE_HOME/steerkit, by default ~/.cache/steerkit; a private temporary folder
-    where that cannot be written."""
+    """$XDG_CACHE_HOME/steerkit (default ~/.cache/steerkit), or a private temporary folder if that cannot be written."""
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "steerkit"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)

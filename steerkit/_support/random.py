@@ -30,8 +30,7 @@ _NORM = 2.328306549295727688e-10  # 1 / (m1 + 1), as published
 
 
 OpenSeed = Callable[[int], RandomState]
-"""A seed that is chosen later: stands in a block's `seed` while its start is traced on symbols, and gives the six that
-stand for the state of a stream."""
+"""A seed chosen later: in a block's `seed` while its start is traced, it gives the six that stand for a stream."""
 
 
 def seed_state(seed: int | OpenSeed, batch: tuple[int, ...] = (), *, stream: int = 0) -> RandomState:
@@ -74,8 +73,7 @@ def normals(state: RandomState) -> tuple[Scalar, Scalar, RandomState]:
 
         n1 = sqrt(-2 ln u1) cos(2 pi u2),   n2 = sqrt(-2 ln u1) sin(2 pi u2)
 
-    |n| < 6.7. Equal in all backends as far as their logarithms and sines are: to the last bits.
-    Source: Box, Muller 1958.
+    |n| < 6.7. Equal in all backends to their logarithms' and sines' last bits. Source: Box, Muller 1958.
     """
     u1, state = uniform(state)
     u2, state = uniform(state)

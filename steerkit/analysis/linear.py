@@ -97,8 +97,7 @@ def break_at(loop: Loop, signal: Signal, *, at: LoopState | None = None) -> Any:
     The wire is cut behind the signal's block; L = -(what the block gives)/(what its users get), so that the closed
     loop is `control.feedback(L)` and `margins(L)` holds. One input and output for a signal of the loop's slowest
     blocks; a faster one has as many as it has samples in a period, and no margin in the classical sense. Raises
-    as `linearise` does, and ValueError when the signal does not come round: no loop runs through it, or a limiter
-    holds it.
+    as `linearise` does, and ValueError when no loop runs through the signal, or a limiter holds it.
     """
     around = linearise(loop, at, inputs=[signal], outputs=[signal], cut=[signal])
     if not around.nstates and not np.any(around.D):

@@ -165,8 +165,7 @@ class RealCar(Car):
     applied [rad], the angle that the gate let through last, or while not engaged the measured one.
     state: none. Raises CarLost when the car server is gone; TypeError when it is batched or traced.
 
-    link: the line to the car server: a `CarClient`, a `ReplayLink`, or what else has `last`, `query`, `request` and
-    `note`. dt [s]: sample time.
+    link: a `CarClient`, `ReplayLink`, or what else has `last`, `query`, `request` and `note`. dt [s]: sample time.
     """
 
     engaged = Out("1", direct=())

@@ -165,8 +165,7 @@ class CarEstimators:
 class Watched:
     """The estimators of a drive, given each of its samples once the request that it led to is sent.
 
-    config: the car; `before`: what an earlier drive found of it, in the vehicle file that it names. note: takes what
-    was found, once a second.
+    config: the car; `before`: what an earlier drive found, in its vehicle file. note: takes findings, once a second.
     """
 
     def __init__(self, config: CarConfig, note: Callable[[Estimates], None]):

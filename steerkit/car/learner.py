@@ -56,8 +56,7 @@ class CarLearner(contextlib.ExitStack):
     to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
     of its own trains on what is committed; driving goes on, and the new nets are taken over between two samples; the
     recording notes it each time. Raises ValueError for a directory that holds something else, or a run with another
-    setting, while another process learns there, and for a setting that is for simulations only: a car put back
-    on the path.
+    setting, while another process learns there, and for a setting of simulations only: a car put back on the path.
     """
 
     def __init__(

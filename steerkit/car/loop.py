@@ -322,8 +322,7 @@ def car_loop(
     controller: a block that steers, or a policy, which gets `doe` (default: an Integrator), corrected by what the gate
     let through, and the recovery controller of that name, called in time for the gate to let it turn the wheel.
     safe: put a `SafetyFilter` that knows the gate before it; where it fails, or takes longer than `BUDGET` by
-    `clock` (None: no time is taken), the recovery controller steers. Raises ValueError for safe with a controller that
-    is no policy.
+    `clock` (None: no time is taken), the recovery controller steers. Raises ValueError for safe without a policy.
     """
     learned = any(port.name == "action" for port in controller.outputs)
     require(learned or not safe, "car_loop", "safe = True, expected a policy: the filter is for learned controllers")
@@ -370,8 +369,7 @@ def drive(
 ) -> realtime.Run:
     """Run a controller at 20 Hz on the car behind `link`, engaged or not, for `duration` [s].
 
-    Missed deadlines go to the car server with the next request; it disengages when they repeat. Raises CarLost
-    when the car server ends.
+    Missed deadlines go to the car server with the next request; if they repeat, it disengages. CarLost: it has ended.
     """
     link.wait(timeout=10.0)
     loop = car_loop(config, path, link, controller.block, doe=controller.element, recovery=recovery)

@@ -1,8 +1,7 @@
 """The live panel of a drive, and its keys: on a line of its own to the car server, should the controller hang.
 
 Keys are read, the picture is drawn and the heartbeat is sent by one thread: a terminal that takes no more text, or is
-gone, stops the heartbeat, and 300 ms later the car is the human's again. A panel that was suspended, or is not in the
-terminal's foreground, lets go too.
+gone, stops the heartbeat, and the car is the human's 300 ms later; so does a suspended panel, or one in the background.
 """
 
 from __future__ import annotations

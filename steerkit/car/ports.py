@@ -21,8 +21,7 @@ def python_can() -> ModuleType:
     """The module `can`, without its support of MF4 files.
 
     python-can imports asammdf where that is installed, and with it pandas and SymPy: more than a second, for files that
-    a car does not need. Call it before cantools is imported too, which imports `can`. Raises ImportError where
-    python-can is not installed.
+    a car does not need. Call it before cantools is imported too, which imports `can`. Raises ImportError without it.
     """
     modules: dict[str, Any] = sys.modules
     absent = "can" not in modules and "asammdf" not in modules

@@ -170,8 +170,7 @@ def server(
     linger: float = 60.0,
     realtime: bool = False,
 ) -> int:
-    """The process that owns the bus, until nobody has been there for `linger` [s]; its exit code: 1 if the recording
-    is not whole.
+    """The process that owns the bus, until nobody has been there for `linger` [s]; exit code 1: recording not whole.
 
     Raises ValueError for a configuration that wants a recording where none is made, and for what `check_pace` refuses.
     """

@@ -80,8 +80,7 @@ class Message(NamedTuple):
 class RecordingFile:
     """A new file to write messages to; who reads it knows as long as it is open.
 
-    description: texts about what is in it. begin: when it begins, since 1970 [ns]. Raises FileExistsError, and OSError
-    from everything.
+    description: texts about what is in it. begin: since 1970 [ns]. Raises FileExistsError, and OSError from everything.
     """
 
     def __init__(self, file: str | os.PathLike[str], description: dict[str, str], begin: int):

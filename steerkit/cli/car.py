@@ -104,8 +104,7 @@ def simulate(
 ) -> None:
     """A simulated car behind the same DBC on a bus of its own; faults come as lines on standard input.
 
-    A line is KIND, `pose` or `report`, and if wanted LENGTH and AMOUNT, such as `drop pose 0.5`; an unknown one prints
-    the kinds.
+    A line is KIND, `pose` or `report`, and perhaps LENGTH and AMOUNT: `drop pose 0.5`; an unknown one prints the kinds.
     """
     told = {name: value for name, value in ctx.params.items() if value is not None}
     offset = radians_of(told.pop("offset_deg"))

@@ -168,7 +168,7 @@ def _lateral(
 
 
 def _drive(name: str, scenario: Scenario, **how: Any) -> Log:
-    if _is_run(name):
+    if name not in CONTROLLERS and Path(name).is_dir():  # a run
         doe = rundir.experiment_of(Path(name)).setting.element(scenario.nominal)
         return evaluate.drive(scenario, rundir.final_policy(Path(name)), doe=doe, **how)
     steering = evaluate.controller(name, scenario)
@@ -178,10 +178,6 @@ def _drive(name: str, scenario: Scenario, **how: Any) -> Log:
         if not is_outside(name):
             raise
         raise ValueError(f"controller '{name}' failed: {in_one_line(error, foreign=True)}") from error
-
-
-def _is_run(name: str) -> bool:
-    return name not in CONTROLLERS and Path(name).is_dir()
 
 
 def _file_name(name: str) -> str:

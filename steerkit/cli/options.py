@@ -62,8 +62,7 @@ Report = Annotated[Path | None, written("All of it as one page to hand on", ".ht
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """The options of every command in which a simulated car drives: which car, where, what disturbs it, what is
-    printed.
+    """The options of all commands in which a simulated car drives: car, course, what disturbs it, what is printed.
 
     A command gets them by one parameter of this type, under `drive_options`.
     """

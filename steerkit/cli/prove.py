@@ -78,8 +78,7 @@ def prove(
 ) -> None:
     """Drive a manoeuvre of vehicle testing, or find it in a log, and judge it: ISO 4138, 7401, 13674, 3888, 11270, R79.
 
-    The same definition serves a simulation of any car, a log, and a car behind its gate. Exit code: 0; 1 where a limit
-    is not kept.
+    The same definition serves a simulation of any car, a log, and a car behind its gate. Exit code 1: a limit not kept.
     """
     if not manoeuvres:
         _list(options.as_json)

@@ -129,8 +129,7 @@ def head_source(tables: Sequence[Table], *, many: bool = True) -> str:
 def function_source(
     head: str, tick: Tick, names: Sequence[str], source: Callable[[int], str], tables: Sequence[Table]
 ) -> str:
-    """A C function that writes the roots of a graph to `names`: all are read before any is written. source: the C text
-    of an input."""
+    """A C function that writes a graph's roots to `names`: all are read before any is written. source: an input's C."""
     lines = statements(tick.graph, tick.roots, source, tables)
     lines += [f"  const real w{n} = v{i};" for n, i in enumerate(tick.roots)]
     lines += [f"  {name} = w{n};" for n, name in enumerate(names)]

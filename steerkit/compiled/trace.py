@@ -154,8 +154,7 @@ def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False)
 
 
 def start_of(loop: Loop) -> LoopState:
-    """A state of the loop: of one car, or of as many as the blocks hold arrays for. Raises TraceError naming the block
-    whose code failed."""
+    """A state of the loop, of as many cars as its blocks hold arrays for. Raises TraceError naming the failing one."""
     try:
         return loop.init()
     except (TypeError, LookupError, AttributeError, ArithmeticError, NameError) as error:

@@ -72,8 +72,7 @@ def limited(law: Any, command: Scalar, before: Scalar, v: Scalar, needed: Scalar
 
         a_y = max(a_y_max, needed + a_y_reserve), at most a_y_limit,   needed [m/s^2]: |a_y| of the path.
 
-    law: a `LimitedLaw`. A NaN command stays NaN; one in `before` limits nothing, so that a broken sample does not break
-    the next.
+    law: a `LimitedLaw`. A NaN command stays NaN; one in `before` limits nothing: a broken sample breaks no other.
     """
     a_y = possible(law, m.maximum(law.a_y_max, needed + law.a_y_reserve))
     step = slewed(law, v) * law.dt

@@ -54,8 +54,7 @@ class OffsetFree(Wrapper):
     time: Scalar = number(3.0, "s", low=0.1, high=1e4)
     """tau [s]."""
     time_late: Scalar = number(0.0, "s", low=0.0, high=1e4)
-    """Up to which tau grows, to half of the time for which z has moved, as a constant comes to be known [s]; 0: not
-    at all."""
+    """Up to which tau grows, to half of the time that z has moved, as a constant comes to be known [s]; 0: never."""
     surprise: Scalar = number(0.015, "m", low=1e-4, high=1e3)
     """Mean of e + T e' over `time`, each counted up to twice this, beyond which d is another one [m]: tau is `time`
     again, and grows anew."""

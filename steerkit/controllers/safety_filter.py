@@ -130,8 +130,7 @@ class SafetyFilter(Block):
                  = backup                     afterwards
 
     A held command follows the bends: the path's own angle is added as it changes. Holding it for several samples keeps
-    the corrections calm: they begin earlier (multi-step filter); hold = 1 is the one-step filter, which chatters at the
-    bound.
+    corrections calm: they begin earlier (multi-step filter); the one-step filter, hold = 1, chatters at the bound.
 
     reach is the worst case within the stated doubts. Two cars are rolled out (see `Rollout`), one pushed to the left,
     and by the same equations on mirrored states one to the right. The left one begins e_doubt further left and turned

@@ -37,8 +37,7 @@ class Supervisor(Block):
     waited: the time for which the recovery controller has steered with |e| >= release, less all other time, 0 at least.
     One that cannot stay within `release`, as its car wanders more or as it swings, hands over at what it reaches.
 
-    A fault is a command that is NaN or out of range, or a `ready` that is NaN, as after an exception in an
-    `ExceptionGuard`.
+    A fault is a command that is NaN or out of range, or a NaN in `ready`, as an `ExceptionGuard` gives.
 
     Inputs: e [m] as measured; learner, recovery [rad], both commands; ready [1], whether there is a valid policy.
     Outputs: delta_sw [rad]; learning [1]; tripped [1], 1 in the one sample in which the learner was switched off for

@@ -1,7 +1,6 @@
 """Errors in a user's block, stated in terms of blocks and ports; used by everything that runs blocks.
 
-NumPy and Python speak of arrays, truth values and subscripts. A loop knows more: which block it asked, for what, and
-what a block should have answered.
+NumPy speaks of arrays, truth values and subscripts; a loop knows which block it asked, for what, and what was due.
 """
 
 from __future__ import annotations

@@ -68,8 +68,7 @@ class Loop:
     """A diagram of blocks: built once, checked whole, run many ways.
 
     blocks: the blocks by name, in the order wanted for display. wires: pairs of ports, `(car.v, stanley.v)`: source
-    first. dt: base sample time [s]; by default the smallest of the blocks'. Every block's dt must be a whole
-    multiple of it.
+    first. dt: base sample time [s]; by default the smallest of the blocks'. Each block's must be a multiple of it.
 
     At tick k, t = k*dt: every block that is due computes its outputs, in an order in which each direct input is
     known before it is needed; then every due block computes its next state from all its inputs at the same t. The

@@ -159,8 +159,7 @@ class OfYawRate(Block):
 class Bank(Block):
     """Least squares of a measured response, `OfWheel` or `OfYawRate`, for a bank of candidates; abstract.
 
-    With candidates 0, step, 2 step, ..., each regression's cost is the weighted sum of squares left over and the
-    priors'.
+    With candidates 0, step, 2 step, ..., a regression's cost is the weighted sum of squares left over and the priors'.
     """
 
     memory: float

@@ -14,8 +14,7 @@ NORMAL_95 = 1.96
 class Estimated(NamedTuple):
     """A quantity as an estimator has it, for whoever acts on it or shows it; read with `estimated`.
 
-    The 95 % interval is value -+ 1.96 deviation, of a normal distribution. Each field is a float, an `(N,)` array for a
-    batch of cars, or a symbol.
+    The 95 % interval is value -+ 1.96 deviation (normal). Fields are floats, `(N,)` arrays in a batch, or symbols.
     """
 
     value: Scalar

@@ -30,8 +30,7 @@ def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, descript
     terminates where the task's cost says so, else it is truncated (a hand-over, or the end of the record). float32 as
     in the environment: the store and Parquet keep every bit, this does not.
 
-    Raises ValueError for other columns than the task's, an action that is none of the task's, or a data set that
-    exists already.
+    Raises ValueError for other columns or actions than the task's, or a data set that exists already.
     """
     where, names = "to_minari", transitions.names
     transitions = transitions.part(transitions.own)

@@ -51,8 +51,7 @@ def check_onnx(
 ) -> dict[str, float]:
     """The largest differences between block and model, over random states of twice the description's ranges.
 
-    Returns `action` [rad] and, of an NfqPolicy, `q` [1]. Two actions whose costs are the same but for rounding are no
-    difference.
+    Returns `action` [rad] and, of an NfqPolicy, `q` [1]. Actions whose costs are equal but for rounding count as one.
     """
     d = block.description
     s = d.mid + d.half * np.random.default_rng(seed).uniform(-2.0, 2.0, (states, len(d.names)))

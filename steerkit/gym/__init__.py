@@ -5,8 +5,7 @@
 * `steerkit/LateralAcceleration-v0`: a target of lateral acceleration instead of a course.
 
 The first two have a vector environment of their own, so that `gymnasium.make_vec(id, num_envs=N)` drives N cars in one
-loop, in C with all that is judged and drawn. `steerkit.gym.episodes.Episodes` is what it is made of: a batch in given
-arrays.
+loop, in C with all that is judged and drawn; it is made of `steerkit.gym.episodes.Episodes`, a batch in given arrays.
 """
 
 from __future__ import annotations

@@ -186,8 +186,7 @@ class _Columns:
 def episode_code(task: Task) -> tuple[str, int]:
     """The C of the task's episodes, and how many numbers of state a car has.
 
-    Raises TraceError for a loop, a cost or a start that cannot be run on symbols, naming which, and ValueError for a
-    block that depends on t.
+    Raises TraceError naming a loop, cost or start that does not run on symbols, ValueError where a block needs t.
     """
     graphs = trace(task.loop)
     graphs.require_timeless("TrackSteering")

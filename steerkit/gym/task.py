@@ -93,8 +93,7 @@ class Task:
     doe: str | Block | None = None
     """Output element: `integrator`, `low-pass`, `plain` or a block; by default the action set's own."""
     largest: float | None = number(None, "rad", above=0.0, high=20.0)
-    """The angle [rad] that a continuous action of 1 means. By default 25 degrees a sample (500 degrees/s) with the
-    integrator, else 520 degrees."""
+    """Angle of a continuous action of 1 [rad]; by default 25 degrees a sample with the integrator, else 520 degrees."""
     cost: Any = "smooth"
     """`smooth` (`SmoothCost` of the wheel's steps), `paper` (`IdoeCost`; `BandCost` where no action is 0), any `Cost`,
     also a function of yours, or the fields of one with its class under `kind`."""

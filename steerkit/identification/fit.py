@@ -119,8 +119,7 @@ class Estimate:
     @property
     def source(self) -> str:
         """`log` (9/10 of the prior's variance is gone), `log and prior` (1/2, or what no log tells makes most of the
-        rest), `prior`, `given`; or `unsteady`: thirds of the log contradict each other, by something that is not in
-        the model."""
+        rest), `prior`, `given`; or `unsteady`: thirds of the log contradict each other, by what is not in the model."""
         if math.isnan(self.learned):
             return "given"
         if not self.steady:

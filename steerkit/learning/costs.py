@@ -133,8 +133,7 @@ class SmoothCost:
         j = v (r_e' - r_e)/dt,  the lateral jerk against the path's,  change = doe' - doe
 
     of a state (e, e_dot, v, psi_e, r_e, doe). Under noise j is mostly the yaw-rate sensor's: 0.02 rad/s of noise at
-    5 m/s and 20 Hz is 3 m/s^3. Raises ValueError unless prices are >= 0 and units > 0. Ours; squares as in linear
-    quadratic regulation.
+    5 m/s and 20 Hz is 3 m/s^3. Raises ValueError unless prices are >= 0 and units > 0. Ours; squares as in LQR.
     """
 
     cost: BandCost | IdoeCost | TanhCost = field(default_factory=TanhCost)

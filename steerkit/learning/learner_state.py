@@ -226,8 +226,7 @@ class LearnerState:
     A policy is trusted until it fails; then the recovery controller keeps the wheel until a newer one takes over, when
     the car is calm. It is trained at each failure (`train`) and, while it drives, when it is `due`; new policies
     `take_over` between two samples. Where a model of the car is learned (`fit.imagined`), driving under recovery is
-    recorded for that, and the policy trained anew every AGAIN: a car that has changed is found while nobody can hand
-    over.
+    recorded for that, and the policy trained anew every AGAIN: a changed car is found while nobody can hand over.
     """
 
     def __init__(
@@ -375,8 +374,7 @@ class LearnerState:
     def arrives(self, late: float, believed: float) -> bool:
         """The safety filter found that commands arrive `late` [s] later than `believed` [s]: a change of the policy?
 
-        Where that is another dead time than the policy's, it forecasts over that at once, and the next updates are of
-        the car since then.
+        Where it is not the policy's, that forecasts over it at once, and the next updates are of the car since then.
         """
         counts, forecast, n = self.counts, self.policy.forecast, len(self.transitions)
         found, counts.late = late != counts.late, late

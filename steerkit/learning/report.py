@@ -45,8 +45,7 @@ def learn_with_progress(
 ) -> LearningRun:
     """`learn`, with a bar on a terminal and a line for every fifth failure and every round elsewhere.
 
-    live: write learning curves for TensorBoard too, into the run's directory. Raises ValueError where its package is
-    missing.
+    live: write learning curves for TensorBoard too, into the run's directory. Raises ValueError without its package.
     """
     with contextlib.ExitStack() as stack:
         watchers: list[Watcher] = []

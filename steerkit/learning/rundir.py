@@ -46,8 +46,7 @@ LOCK, HOLDER = ".lock", ".learner"
 def held(place: FilePath) -> Iterator[None]:
     """Hold a run's directory for learning in it; reading needs no such thing.
 
-    place: an existing directory. Raises ValueError, naming the process, while another one learns there; a process that
-    was killed holds nothing.
+    place: an existing directory. Raises ValueError naming another process that learns there; killed ones hold nothing.
     """
     from filelock import FileLock, Timeout
 

@@ -195,8 +195,7 @@ def _opendbc(name: str) -> str:
 
 
 def _table(message: Any, rows: array[float], notes: list[str]) -> Table | None:
-    """One message's signals over time; frames that cannot be decoded are left out, and where nearly all of them hold a
-    check sum those that do not."""
+    """A message's signals over time, without frames that do not decode, or lack a check sum that nearly all hold."""
     whole = np.frombuffer(rows).reshape(-1, 2 + len(message.signals))
     held = whole[:, 1]
     summed = len(held) >= _FEW and np.sum(held == 1.0) >= 0.9 * len(held)

@@ -204,8 +204,7 @@ def to_mcap(log: Log | Drive, file: str | Path) -> dict[str, int]:
     """Write a log as MCAP with a topic a group (`/car`, `/path`, `/wheel`, `/signals/...`) in JSON, and `/scene/pose`,
     `/scene/driven` in Foxglove's own kinds for its 3D panel; returns messages by topic.
 
-    Numbers come back bit for bit; one that is none is null. Raises ValueError for a batch of cars, and where
-    foxglove-sdk is missing.
+    Numbers come back bit for bit, NaN and infinity as null. Raises ValueError for a batch, and without foxglove-sdk.
     """
     record = log.to_log() if isinstance(log, Drive) else log
     columns = {name: values for name, values in record.columns().items() if name != "t"}

@@ -29,8 +29,7 @@ def largest(signal: ArrayLike) -> float:
 def magnitude_at(signal: ArrayLike, share: float = 0.95) -> float:
     """The magnitude that `share` of the samples do not exceed, in the signal's unit; NaN if any sample is NaN.
 
-    Between two samples' magnitudes it is interpolated. Raises ValueError for a share outside 0 to 1.
-    Source: Hyndman, Fan 1996, definition 7.
+    Interpolated between samples. Raises ValueError for a share outside 0 to 1. Source: Hyndman, Fan 1996, definition 7.
     """
     values = np.abs(samples("magnitude_at", signal))
     require(0.0 <= share <= 1.0, "magnitude_at", f"share {share:g} [1], expected 0 to 1")

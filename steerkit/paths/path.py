@@ -121,8 +121,7 @@ class Path:
         """The path in a CSV file whose header names x and y [m], or lat and lon [degrees]; `#` starts a comment.
 
         smoothing [m]: by default 0 for x, y and 0.1 for lat, lon. name: by default the file's. text: of the
-        file, where it is known. Raises ValueError for a missing column or a cell that is no number, and as
-        `from_waypoints`.
+        file, where known. Raises ValueError as `from_waypoints`, for a missing column, and a cell that is no number.
         """
         text, called = read_text(file, "Path.from_csv", latin=True) if text is None else text, name or File(file).stem
         columns = read_columns(text, f"{file}")

@@ -89,8 +89,7 @@ def animate(
 
 
 class Moments:
-    """The signals of one car over time t (T,) [s], to be had at any moment: x, y, psi; e, v, delta_sw and who steers,
-    if known."""
+    """Signals of one car over time t (T,) [s], at any moment: x, y, psi; e, v, delta_sw and who steers, if known."""
 
     def __init__(self, t: np.ndarray, signals: dict[str, np.ndarray]):
         self.t, self.signals = t, {**signals, "psi": np.unwrap(signals["psi"])}

@@ -174,8 +174,7 @@ def bare(controller: Block) -> Block:
 
 
 def with_controller(loop: Loop, controller: Block) -> Loop:
-    """A steering loop with another controller of the same ports in place of its own, guarded if that was; to exchange
-    a policy while the loop's state goes on."""
+    """A steering loop with another controller of the same ports, guarded if that was, to exchange a policy underway."""
     guarded = isinstance(loop.blocks["controller"], ExceptionGuard)
     return loop.with_block("controller", _guarded(controller) if guarded else controller)
 

@@ -101,8 +101,7 @@ def sweep(
     distance: what `path.progress` is when a drive is over [m], if that is before `seconds`; for an open course.
     backend: as for `compile`. progress: show a bar on the terminal.
 
-    Raises ValueError for values that the block refuses or that change nothing in this loop, an unknown metric or a bad
-    duration, and what `compile` does.
+    Raises ValueError for values refused or without effect, an unknown metric, a bad duration, and what `compile` does.
     """
     require(values, "sweep", "no parameters; expected such as {'controller.k': [0.5, 1.0, 2.0]}")
     points = {name: np.atleast_1d(np.asarray(given, dtype=float)) for name, given in values.items()}

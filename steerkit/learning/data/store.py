@@ -164,9 +164,8 @@ class TransitionStore:
     def append(self, s: Sequence[float], a: float, s_next: Sequence[float], episode: int, own: bool = True) -> None:
         """Record one transition; returns at once, whatever the disk does.
 
-        s, s_next: the state's columns (SI); a: action [rad]; episode: its number; own: did the
-        learner steer? Raises ValueError for a wrong length or a non-finite number, StoreError when the store was opened
-        for reading or closed.
+        s, s_next: the state's columns (SI); a: action [rad]; episode: its number; own: did the learner steer? Raises
+        ValueError for a wrong length or a non-finite number, StoreError when the store is opened for reading or closed.
         """
         n = len(self.names)
         if len(s) != n or len(s_next) != n:

@@ -39,8 +39,7 @@ def with_heading(record: Record) -> Log:
 
 
 def moments_of(record: Record, until: float, lasts: float, fps: float) -> NDArray[np.float64]:
-    """The driving time that each picture shows [s]: the beginning in real time, if that takes no more than half of the
-    film, the rest evenly."""
+    """Driving time of each picture [s]: the beginning in real time, if that takes up to half the film; else evenly."""
     t = record.log.t
     again = t[record.learning & (t > t[record.failed_at[0]])] if len(record.failed_at) else t[:0]
     begin = min(until, (float(again[0]) if len(again) else 0.0) + 4.0)

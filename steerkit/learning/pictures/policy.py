@@ -110,14 +110,10 @@ def policy_map(
     for row in axes:
         row[0].set_ylabel("psi_e - psi_0 [deg], + = left")
     for action, colour in zip(actions, colours):
-        axes[0, 0].plot([], [], "s", ms=7, color=colour, label=_action_name(action))
+        axes[0, 0].plot([], [], "s", ms=7, color=colour, label=f"{degrees_of(action):+.0f}°" if action else "hold, 0°")
     figure.legend(loc="outside lower center", ncols=len(actions), frameon=False)
     figure.colorbar(picture, ax=list(axes.flat), label="expected cost to go", aspect=40, pad=0.01)
     return figure
-
-
-def _action_name(action: float) -> str:
-    return f"{degrees_of(action):+.0f}°" if action else "hold, 0°"
 
 
 def _action_colours(actions: Sequence[float]) -> list[str]:

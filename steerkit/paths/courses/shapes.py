@@ -198,8 +198,7 @@ def slalom() -> Path:
 def curvature_step() -> Path:
     """A straight of 30 m that becomes half a circle to the left at once, and a straight again: steps in curvature.
 
-    Its radius of 27 m asks 3 m/s^2 at 9 m/s. Curvature rises over about 0.5 m, between two knots of the path, and
-    overshoots by a tenth.
+    Its radius of 27 m asks 3 m/s^2 at 9 m/s. Curvature rises over about 0.5 m, between two knots, and overshoots 10 %.
     """
     radius = 27.0
     angle = np.linspace(0.0, math.pi, math.ceil(4.0 * math.pi * radius) + 1)

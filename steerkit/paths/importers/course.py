@@ -68,8 +68,7 @@ class Line:
 class Course:
     """A path with the speeds along it, as `read_course` makes it of a file.
 
-    v and v_limit are at the path's knots (`path.samples.s`), None where the file has none; v_limit is NaN where nothing
-    is said.
+    v and v_limit are at the path's knots (`path.samples.s`), None where the file has none; NaN in v_limit: not said.
     """
 
     path: Path
@@ -315,8 +314,7 @@ def smoothed(points: Array, noise: float, *, closed: bool) -> tuple[Any, float, 
 def _weighed(basis: Any, third: Any, points: Array, beside: Array, noise: float, end: float) -> tuple[Array, float]:
     """The coefficients for the largest weight of the penalty that keeps to the noise; and the noise that they show.
 
-    third: gives the third derivatives, whose squares are the penalty. beside: the direction across the way at each
-    point (n, 2).
+    third: gives the third derivatives, whose squares are the penalty. beside: direction across the way (n, 2).
     """
     from scipy.sparse.linalg import splu
 

@@ -37,8 +37,7 @@ def commonroad(file: str) -> Map:
     """The lanelets of a CommonRoad scenario: each one's centre between its bounds, point by point.
 
     Speed limits are those of the signs that lanelets refer to (type 274, or maxspeed). A lanelet whose bounds do not
-    belong together is left out. Source: CommonRoad XML format 2018b and 2020a. Raises ValueError for a file without a
-    good one.
+    belong together is left out. Source: CommonRoad XML format 2018b and 2020a. Raises ValueError where none is good.
     """
     pieces: dict[str, Piece] = {}
     signs: dict[str, float] = {}

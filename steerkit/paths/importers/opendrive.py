@@ -400,8 +400,7 @@ def spiral(length: float, k0: float, k1: float, d: Array) -> tuple[Array, Array,
 
         heading = k0 d + (k1 - k0) d^2/(2 length),  u = integral cos(heading),  v = integral sin(heading),
 
-    by Gauss and Legendre's rule on panels that turn by a radian at most: to rounding, also for curvature that hardly
-    changes, where Fresnel integrals cancel.
+    by Gauss-Legendre on panels that turn by up to a radian: to rounding, also for nearly constant curvature.
     """
     rate = (k1 - k0) / length if length > 0.0 else 0.0
 

@@ -105,8 +105,7 @@ class Track:
 def gpx(file: str) -> list[Track]:
     """The tracks and routes of a GPX file, segments of a track one after the other; raises ValueError as it is broken.
 
-    A track was recorded, a route was drawn. Source: GPX 1.1 schema (Topografix); the speed of GPX 1.0 and of
-    extensions is read where it stands.
+    A track was recorded, a route drawn. Source: GPX 1.1 schema (Topografix); speeds of GPX 1.0 and extensions are read.
     """
     tracks: list[Track] = []
     for node in _whole(records(file, ("trkpt", "rtept", "name"), ("trk", "rte", "wpt")), tracks):
