@@ -20,6 +20,7 @@ import pytest
 from steerkit.car import recording as recordings
 from steerkit.car.client import CarClient
 from steerkit.car.state_machine import Mode
+from tests.support.programs import Forked
 
 WAIT = 60.0
 """Longest wait for anything [s]; the machine may be busy."""
@@ -41,14 +42,12 @@ class Terminal:
         def lead() -> None:
             os.setsid()
             fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
 
         self.master, slave = pty.openpty()
-        ignoring = ("sh", "-c", 'trap "" INT; exec "$0" "$@"')
-        command = [*ignoring, sys.executable, "-c", PROGRAM, *words]
+        command = [sys.executable, "-c", PROGRAM, *words]
         env = {**os.environ, "TERM": "xterm", "COLUMNS": "100", "LINES": "30", **environment}
-        self.process = subprocess.Popen(
-            command, stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=env, preexec_fn=lead
-        )
+        self.process = Forked(command, stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=env, preexec_fn=lead)
         os.close(slave)
         self.text = ""
 

@@ -31,13 +31,19 @@ from steerkit.car.server import CarServer
 from steerkit.car.simulated import SimulatedCar
 from steerkit.car.state_machine import Mode, Order
 from tests.support import programs
-from tests.support.programs import alive
+from tests.support.programs import Forked, alive
 
 CONFIG = "dbw-kit.toml"
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[dict[str, Any]]:
+def forked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes as forks of this one; that they start from nothing is seen where a simulated car's starter ends."""
+    monkeypatch.setattr(subprocess, "Popen", Forked)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, forked: None) -> Iterator[dict[str, Any]]:
     simulated, channel = processes.start_simulated(CONFIG, log=str(tmp_path / "car.jsonl"))
     text = (tmp_path / "server.log").open("w")
     socket, record = str(tmp_path / "socket"), tmp_path / "drive.mcap"
@@ -149,6 +155,7 @@ def limited(size: int) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
+@pytest.mark.usefixtures("forked")
 def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path) -> None:
     words = ["drive", "stanley", "--car", CONFIG, "--simulated", "--minutes", "0.02", "--quiet"]
     command = [sys.executable, "-m", "steerkit", *words, "--recording", "drive.mcap"]
@@ -161,6 +168,7 @@ def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path) ->
     assert recordings.read(tmp_path / "drive.mcap").lost
 
 
+@pytest.mark.usefixtures("forked")
 def test_a_recording_that_is_being_written_is_refused(tmp_path: Path) -> None:
     words = ["-m", "steerkit", "drive", "stanley", "--car", CONFIG, "--simulated", "--quiet"]
     words += ["--recording", "drive.mcap"]
@@ -181,6 +189,7 @@ def test_a_recording_that_is_being_written_is_refused(tmp_path: Path) -> None:
     assert processes.last_line(str(tmp_path / "other.log")).startswith("it said nothing")
 
 
+@pytest.mark.usefixtures("forked")
 def test_a_second_process_on_the_same_adapter_is_refused_and_the_first_does_not_notice(tmp_path: Path) -> None:
     simulated, channel = processes.start_simulated(CONFIG)
     server = processes.start_car_server(CONFIG, str(tmp_path / "first"), channel=channel)

@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import importlib
+import logging
 import os
 import runpy
 import select
@@ -103,7 +104,7 @@ def _become(
         warnings.filterwarnings("ignore", category=DeprecationWarning)
         warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]
         sys.path[:0] = [str(folder), *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
-        subprocess.Popen = _Forked  # type: ignore[misc]
+        subprocess.Popen = Forked  # type: ignore[misc]
         if drawing := sys.modules.get("matplotlib.layout_engine"):  # a third of a short command's time
             drawing.ConstrainedLayoutEngine.execute = lambda *_: None  # type: ignore[attr-defined]
         code = _ended(words)
@@ -120,13 +121,14 @@ def _become(
         os._exit(code & 0xFF)
 
 
-class _Forked(subprocess.Popen[str]):
-    """`python -m MODULE ...` as a fork of a program that is one: imports take longer than most drives of the tests."""
+class Forked(subprocess.Popen[str]):
+    """`python -m MODULE ...` or `-c CODE ...` as a fork: imports take longer than most drives of the tests."""
 
     def _execute_child(self, args: Any, *how: Any) -> None:
-        if args[:2] != [sys.executable, "-m"] or how[4:6] != (None, None):  # another program, folder or environment
+        if args[0] != sys.executable or args[1] not in ("-m", "-c") or "jax" in sys.modules:  # see `python`
             super()._execute_child(args, *how)  # type: ignore[misc]
             return
+        prepare, folder, environment = how[1], how[4], how[5]
         pipes = to_child, _, _, from_child, _, errors = how[9:15]  # as Popen orders them, -1: none
         sys.stdout.flush()  # else the child writes what waits in it to its own output
         sys.stderr.flush()
@@ -140,6 +142,15 @@ class _Forked(subprocess.Popen[str]):
                     if stream >= 0:
                         os.dup2(stream, number)
                 os.closerange(3, 1024)
+                os.chdir(folder or ".")
+                if environment is not None:
+                    given = dict(environment)
+                    os.environ.clear()
+                    os.environ.update(given)
+                if prepare:
+                    prepare()
+                subprocess.Popen = Forked  # type: ignore[misc]
+                logging.root.handlers.clear()  # a test's
                 tracker = resource_tracker._resource_tracker  # it was among those, if this process had used it
                 tracker._fd = tracker._pid = None  # type: ignore[attr-defined]
                 sys.stdin = os.fdopen(0, closefd=False, encoding="utf-8")

@@ -26,6 +26,7 @@ from steerkit.paths.courses import circle
 from steerkit.paths.path import Path as Course
 from steerkit.proving.manoeuvre import Abort, Input, manoeuvre
 from tests.support.places import ROOT
+from tests.support.programs import Forked
 from tests.support.proved_car import ProvingWorld, V, config_on, oval, small
 from tests.unit.car.test_panel import pressed
 
@@ -391,7 +392,8 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_a_kill_in_mid_run_leaves_a_recording_that_says_it(tmp_path: Path) -> None:
+def test_a_kill_in_mid_run_leaves_a_recording_that_says_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "Popen", Forked)
     ended = subprocess.run([sys.executable, "-c", CUT, str(tmp_path)], cwd=ROOT, capture_output=True, timeout=120.0)
     assert ended.returncode == -9, ended.stderr.decode()
     (run,) = runs_in(tmp_path / "cut.mcap")
