@@ -144,9 +144,8 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
     """How many of a drive's requests come out bit for bit the same when its controllers see the recorded snapshots.
 
     A solution that came too late in the drive comes in time here: its request, and a few after it, then differ. A
-    safety filter that was late is late here too.
-    controller: name of another one to put in their place, throughout. run: see `Nets`. Raises ValueError when the
-    recording does not name who steered, or that controller is gone.
+    safety filter that was late is late here too. controller: name of another one to put in their place, throughout.
+    run: see `Nets`. Raises ValueError when the recording does not name who steered, or that controller is gone.
     """
     begin = max(0, drive.first - 2)  # the last snapshot before that of the first request began the loop
     link = ReplayLink(drive.snapshots[begin:])

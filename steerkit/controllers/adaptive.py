@@ -60,10 +60,9 @@ class Adaptive(Block):
     steered. State: those of `blocks`, of `delay` and `steering`, then dead time and lag as last read from `delay`,
     their deviation [s], whether they were valid, samples since then and whether it was on standby [1], d [s] and g [1].
     In a drive of one car only the two controllers that are mixed are evaluated, and `delay`, which takes its time, is
-    read every fifth sample. Samples with NaN in v, r or doe update
-    no estimate, nor do samples on standby: see `on_standby`. Raises ValueError for parameters out of range, and for
-    controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty
-    equivalence: estimates are used as if they were true).
+    read every fifth sample. Samples with NaN in v, r or doe update no estimate, nor do samples on standby: see
+    `on_standby`. Raises ValueError for controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4
+    (gain scheduling) and 3.1 (certainty equivalence: estimates are used as if they were true).
     """
 
     doe = In("rad", direct=False)

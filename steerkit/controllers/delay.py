@@ -38,11 +38,10 @@ class DelayPredictor(Block):
     Output: delta_sw [rad]. State: that of the wrapped block; r_m (with a slew: of the sample before, then the wheel of
     that sample, the model's own wheel and by how much that is off, averaged over half a second: commands are taken to
     be off by that); then the commands on their way, oldest first; for one that is not finite, which never left, the
-    wheel's angle is taken. A negative v counts as 0.
-    NaN in an input that the wrapped block or the prediction needs gives NaN out. A command that is replaced on its way
-    to the wheel (by another controller in charge, a limiter) is not known here: for `delay` after a hand-over the
-    prediction is wrong by the difference. Raises ValueError for a wrapped block with other ports or sample time, and
-    for a preview_points below 1.
+    wheel's angle is taken. A negative v counts as 0. NaN in an input that the wrapped block or the prediction needs
+    gives NaN out. A command that is replaced on its way to the wheel (by another controller in charge, a limiter) is
+    not known here: for `delay` after a hand-over the prediction is wrong by the difference. Raises ValueError for a
+    wrapped block with other ports or sample time, and for a preview_points below 1.
 
     Source: Smith 1957 (predictor).
     """

@@ -157,7 +157,7 @@ class Lqr(LimitedLaw):
     finite never left, so the wheel's angle stands in for it. Valid for |e| up to about 1 m: the law is linear, and
     does not limit its approach angle. Speeds outside the table, a standstill or a negative v take its nearest row,
     whose gains fit no much faster car: with one up to 12 m/s it is metres off at 30. NaN in any input gives NaN out.
-    Raises ValueError for parameters out of range. Source: Anderson, Moore 1990; Tomizuka 1975; Rajamani 2012, ch. 3.
+    Source: Anderson, Moore 1990; Tomizuka 1975; Rajamani 2012, ch. 3.
     """
 
     e = In("m")

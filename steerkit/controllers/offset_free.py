@@ -37,8 +37,8 @@ class OffsetFree(Wrapper):
     z is held while |e| > reach, below v_least, while the command is at its limit or at its fastest, and where e or v is
     not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that
     of `block`, then z [rad], the time for which it has moved [s], the mean of e + T e' [m], the last e [m] and the last
-    command [rad]. Valid where `block` by itself is stable. Raises ValueError for parameters out of range and for a
-    block without the inputs e and v and the output delta_sw.
+    command [rad]. Valid where `block` by itself is stable. Raises ValueError for a block without the inputs e and v and
+    the output delta_sw.
 
     Source: Astrom, Hagglund 2006, section 3.5 and ch. 6 (conditional integration, cancelled pole); Pannocchia, Rawlings
     2003 and Maeder, Borrelli, Morari 2009 (what a model of the disturbance gives an MPC).

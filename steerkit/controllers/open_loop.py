@@ -28,8 +28,7 @@ class OpenLoop(Wrapper):
 
     Ports and sample time are those of `block`, which goes on from its own angle; it needs the output delta_sw. State:
     that of `block`, then tau [s], the number, the trim [rad]. amplitude and delay may be `(N,)` arrays in a batch.
-    Raises ValueError for parameters out of range. Source: ISO 15037-1 (general conditions: straight ahead, then the
-    input, with the wheel held).
+    Source: ISO 15037-1 (general conditions: straight ahead, then the input, with the wheel held).
     """
 
     changes = ("delta_sw",)

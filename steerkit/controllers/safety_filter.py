@@ -177,10 +177,9 @@ class SafetyFilter(Block):
     wheel one sample before, the command that was found safe last, less the path's own angle, for how many samples it is
     to be held, <wrong> and the mean square of what is left of `wrong`; late in samples, widened, the wheel and p_0 as
     commanded, the latter's average, the mean squares of r and of what is allowed, and p_k, <r p_k>, <p_k^2> of each k;
-    then commands on their way, oldest first. Where a command is not finite, or
-    an input is NaN, the last plan goes on, then the backup steers; a NaN in an input of the backup gives NaN, which the
-    gate before a bus refuses. A negative v counts as 0.
-    Raises ValueError for parameters out of range and for a backup that is not Stanley.
+    then commands on their way, oldest first. Where a command is not finite, or an input is NaN, the last plan goes on,
+    then the backup steers; a NaN in an input of the backup gives NaN, which the gate before a bus refuses. A negative v
+    counts as 0. Raises ValueError for a backup that is not Stanley.
 
     Source: Wabersich, Zeilinger 2018 and 2021 (predictive safety filter); Gurriet et al. 2020 (a backup rolled out);
     Pizarro Bejarano, Brunke, Schoellig 2023 (multi-step filters).

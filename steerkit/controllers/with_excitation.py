@@ -30,10 +30,9 @@ class WithExcitation(Wrapper):
     first sample, and anew from the first one with another `number`: waves are exchanged while the state goes on.
 
     The controller rejects w as any disturbance, and goes on from its own angle. One that watches its own commands
-    (`Adaptive`) has to be put around this block, not inside. Ports and sample time are those of `block`; it
-    needs the inputs v and r and the output delta_sw. State: that of `block`, then tau [s] and the number.
-    Raises ValueError for parameters out of range. Source: Ljung 1999, section 13.3 (inputs for identification: sums
-    of sines, and steps; within the limits of the system).
+    (`Adaptive`) has to be put around this block, not inside. Ports and sample time are those of `block`; it needs the
+    inputs v and r and the output delta_sw. State: that of `block`, then tau [s] and the number. Source: Ljung 1999,
+    section 13.3 (inputs for identification: sums of sines, and steps; within the limits of the system).
     """
 
     needs = ("v", "r")

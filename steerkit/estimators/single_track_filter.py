@@ -76,7 +76,7 @@ class SingleTrackFilter(Block):
     degrees, 0.001 rad/s, before it is widened by what driving cannot show (`gyro_scale`, `bank`, tyres that saturate);
     missing [1], 1 if a number of the last sample but psi was.
     A sample is used where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
-    State: filters, a delay line, the six numbers, P's upper triangle. Raises ValueError for parameters out of range.
+    State: filters, a delay line, the six numbers, P's upper triangle.
 
     Source: Gelb 1974, section 6.1 (extended Kalman filter); Rajamani 2012, section 3.3; Kulhavy, Zarrop 1993
     (forgetting towards a prior). openpilot's paramsd (comma.ai) and Autoware's steering offset estimator do this too.

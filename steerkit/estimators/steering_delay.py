@@ -80,8 +80,7 @@ class DelayBank(Bank):
     [s]; delay_valid, lag_valid, delay_lag_valid [1]; missing [1]: 1 where the last sample held a NaN. The sum is known
     far better than its parts, which only fast steering separates. Valid: the deviation is at most `enough` (twice
     that for the parts), the commands explain half of the response's variance, and the sum is not at an end of what the
-    candidates reach, earliest + 0.59 L0 and longest + 2 L0. State: filters, delay lines, moments. Raises ValueError for
-    parameters out of range.
+    candidates reach, earliest + 0.59 L0 and longest + 2 L0. State: filters, delay lines, moments.
 
     Source: Ljung 1999, sections 7.3 and 11.2 (regression, forgetting); Golub, Pereyra 1973 (linear parameters solved
     for). openpilot's lag estimation (comma.ai 2025) has the same task and correlates two accelerations.

@@ -318,9 +318,9 @@ class VehicleState(Block):
     All but nis follow from the state and the wheel. state: 13 means, 91 covariances (upper triangle), the wheel's last
     angles, the buffer, `Memory`; with `steering` its state and `Followed`.
     valid: forward driving; a v below 0 counts as 0. In a batch parameters may be `(N,)` arrays. errors: ValueError for
-    parameters out of range, for a `steering` that is made for commands or has another sample time.
-    source: Gelb 1974, ch. 4 and 6; Bar-Shalom, Li, Kirubarajan 2001, sections 5.4 (normalised innovations) and 11.6
-    (adaptive noise); Astrom, Wittenmark 1995, section 3.1 (certainty equivalence); Rajamani 2012, section 3.3.
+    a `steering` that is made for commands or has another sample time. source: Gelb 1974, ch. 4 and 6; Bar-Shalom, Li,
+    Kirubarajan 2001, sections 5.4 (normalised innovations) and 11.6 (adaptive noise); Astrom, Wittenmark 1995, section
+    3.1 (certainty equivalence); Rajamani 2012, section 3.3.
     """
 
     x_in = In("m")

@@ -32,14 +32,13 @@ def learn(
 ) -> LearningRun:
     """Run an experiment to its end and return the run; with a `directory`, keep everything there.
 
-    A directory that holds an unfinished run of the same experiment is resumed from its last training, with the
-    same numbers as if it had never stopped. One that has come to its end learns on where `minutes`, `episodes` or
-    `rounds` are more now, with the same numbers as if it had been so many from the start. watch: called with
-    what has happened and the run: "failed", "trained", "lost" (a training without a result), "round", "stuck",
-    "doubted" (the safety filter found its doubts too small), and "second" after each second of driving. each: called
-    with every sample that is recorded, such as a live stream's.
-    Raises ValueError when the directory holds something else, when another process learns in it, and for parts of
-    your own that could not be found again when the run is read.
+    A directory that holds an unfinished run of the same experiment is resumed from its last training, with the same
+    numbers as if it had never stopped. One that has come to its end learns on where `minutes`, `episodes` or `rounds`
+    are more now, with the same numbers as if it had been so many from the start. watch: called with what has happened
+    and the run: "failed", "trained", "lost" (a training without a result), "round", "stuck", "doubted" (the safety
+    filter found its doubts too small), and "second" after each second of driving. each: called with every sample that
+    is recorded, such as a live stream's. Raises ValueError when the directory holds something else, when another
+    process learns in it, and for parts of your own that could not be found again when the run is read.
     """
     what = (
         f"{experiment!r:.60}, expected an Experiment, such as Experiment(scenario=Scenario(course='paper'), minutes=2)"

@@ -28,10 +28,9 @@ class DisturbedPlant(Car):
     v_y += dt/2 a  (beta += dt/2 a/v),  r += dt/2 m a_w arm/i_z;  a_y += a.
 
     The push and the car's motion are integrated in turn (Strang splitting, second order in dt). A crosswind of speed w
-    makes a_w = rho c_y A w^2/(2 m) (15 m/s on 1.6 m^2 of c_y A: 0.13 m/s^2), a road banked by phi makes bank =
-    g sin(phi) to the low side. Ports: those of the car. State: the car's, g, the generator's six numbers. Valid
-    from 3 m/s on. Raises ValueError for parameters out of range.
-    Source: Rajamani 2012, section 2.3 (bank); Trevino 1997 (Gauss-Markov gusts); Strang 1968 (splitting).
+    makes a_w = rho c_y A w^2/(2 m) (15 m/s on 1.6 m^2 of c_y A: 0.13 m/s^2), a road banked by phi makes bank = g
+    sin(phi) to the low side. Ports: those of the car. State: the car's, g, the generator's six numbers. Valid from
+    3 m/s on. Source: Rajamani 2012, section 2.3 (bank); Trevino 1997 (Gauss-Markov gusts); Strang 1968 (splitting).
     """
 
     block: SingleTrack

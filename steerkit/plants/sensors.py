@@ -55,8 +55,7 @@ class Sensors(_Sensing):
     beta, r, seen; age [s] of these, the latency. state: six errors of the present sample, three drifts, the generator's
     six numbers, then the latency/dt samples on their way (six numbers each, oldest first), all equal to the first
     sample at the start. In a batch, car i draws as sensors of seed + i do; deviations and biases may be `(N,)` arrays.
-    errors: ValueError for parameters out of range, or a latency that is no multiple of dt. source: Gelb 1974 (Gauss-
-    Markov).
+    errors: ValueError for a latency that is no multiple of dt. source: Gelb 1974 (Gauss-Markov).
     """
 
     position_noise: Scalar = number(0.0, "m", low=0.0, high=10.0)
@@ -164,8 +163,8 @@ class DegradedSensors(_Sensing):
     beta, r, seen; age [s] of these, as a receiver stamps it: the latency, a dt and, held, dt after dt more. state: the
     seven seen and the six true ones, the share a, whether this sample is lost, o (two), b, the generator's six numbers,
     the shares of the samples on their way, oldest first, then the wrapped sensors'. In a batch, car i draws as sensors
-    of seed + i. errors: ValueError for parameters out of range. source: Nilsson 1998 (jitter); Misra, Enge 2011, ch. 5
-    and 7 (jumps of a position); Titterton, Weston 2004, ch. 12 (drift of a heading); Rajamani 2012, eq. 2.12.
+    of seed + i. source: Nilsson 1998 (jitter); Misra, Enge 2011, ch. 5 and 7 (jumps of a position); Titterton, Weston
+    2004, ch. 12 (drift of a heading); Rajamani 2012, eq. 2.12.
     """
 
     beta = Out("rad")  # of v and r, where `rear` is given

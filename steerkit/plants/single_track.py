@@ -98,7 +98,6 @@ class SingleTrack(IntegratedCar):
     state: x, y, psi, sway (beta or v_y), r and the last inputs. Parameters and start may be `(N,)` arrays in a batch.
     valid: v in [0, 40] m/s. The fastest rate, near 2.7 m/s, times dt/substeps is 0.8 to 1.25 for the named cars; 2.78
     is the limit of stability, and a dt that comes near it is refused. A NaN input gives a NaN state.
-    errors: ValueError for bad parameters.
     """
 
     vehicle: Vehicle

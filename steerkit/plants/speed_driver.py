@@ -35,8 +35,7 @@ class SpeedDriver(Block):
 
     no inputs. output, of state only: v [m/s]. state: z, g, the random generator's six numbers; it starts anywhere in
     the stationary distribution. In a batch, car i draws as a driver of seed + i does; v_min and v_max may be `(N,)`
-    arrays. errors: ValueError for parameters out of range. source: Uhlenbeck, Ornstein 1930; Gillespie 1996 (exact
-    discretisation).
+    arrays. source: Uhlenbeck, Ornstein 1930; Gillespie 1996 (exact discretisation).
     """
 
     v = Out("m/s", direct=())

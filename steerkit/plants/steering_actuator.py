@@ -27,8 +27,7 @@ _SLOWEST = 1.0  # m/s: below, a wheel steered by torque turns as at this speed
 class DelayedSteering(Block):
     """What turns the steering wheel on a command, late and within bounds; abstract. It starts straight and at rest.
 
-    Parameters except delay and dt may be `(N,)` arrays in a batch. errors: ValueError for parameters out of range, or a
-    delay that is no multiple of dt.
+    Parameters except delay and dt may be `(N,)` arrays in a batch. errors: ValueError for a delay not a multiple of dt.
     """
 
     delta_sw_cmd = In("rad", direct=False)
@@ -204,9 +203,8 @@ class SteeringLink(Block):
     input: delta_sw_cmd [rad]. output: delta_sw [rad], the motor's command, in the same sample. state: delta_sw one
     sample before; with jitter also a and d in samples, the samples since d was drawn, the generator's six numbers and
     the jitter/dt commands before this one, oldest first. A NaN arrives as NaN. In a batch, car i draws as a link of
-    seed + i does; quantum and dead_band may be `(N,)` arrays. errors: ValueError for parameters out of range, or a
-    jitter that is no multiple of dt.
-    source: Widrow, Kollar 2008 (quantiser); Nilsson 1998, ch. 3 (random delays in control loops, new each sample);
+    seed + i does; quantum and dead_band may be `(N,)` arrays. errors: ValueError for a jitter that is no multiple of
+    dt. source: Widrow, Kollar 2008 (quantiser); Nilsson 1998, ch. 3 (random delays in control loops, new each sample);
     Miskowicz 2006 (send on delta).
     """
 
@@ -286,10 +284,9 @@ class SteeringColumn(Block):
     input: delta_sw_in [rad], the motor's angle, as one of the steering wheel. outputs, in the same sample: delta_sw
     [rad], the angle that the road wheels have, times the ratio; delta_sw_meas [rad], of the steering wheel, what is
     measured: `zero` more than there is. state: that less `zero`, and delta_sw, one sample before. It starts in the
-    middle of its gaps. A NaN stays NaN. Parameters may be `(N,)` arrays in a batch. errors: ValueError for parameters
-    out of range.
-    source: Nordin, Gutman 2002 (backlash); Visintin 1994, ch. III (play operator; Coulomb friction with a spring is
-    its stop); Pfeffer, Harrer, Johnston 2008 (friction and elasticity of steering).
+    middle of its gaps. A NaN stays NaN. Parameters may be `(N,)` arrays in a batch. source: Nordin, Gutman 2002
+    (backlash); Visintin 1994, ch. III (play operator; Coulomb friction with a spring is its stop); Pfeffer, Harrer,
+    Johnston 2008 (friction and elasticity of steering).
     """
 
     delta_sw_in = In("rad")

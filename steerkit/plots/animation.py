@@ -60,9 +60,8 @@ def animate(
     log: with car.x, car.y, car.psi, and, if they are there, car.v, car.delta_sw, a tracker's e and whether a learner
     steers (supervisor.learning). path: what the car should follow, or None. vehicle: the car, where the log does not
     know its own. speed: how many seconds of the run one second of film shows (default: so many that it lasts 15 s, 1 at
-    least). fps: pictures a second. moments: the time of each picture [s], two at least, instead of even steps.
-    Returns the file.
-    Raises ValueError for another kind of file, a log without a car or of several, or an MP4 without ffmpeg.
+    least). fps: pictures a second. moments: the time of each picture [s], two at least, instead of even steps. Returns
+    the file. Raises ValueError for another kind of file, a log without a car or of several, or an MP4 without ffmpeg.
     """
     film_file = File(file)
     film = film_writer(film_file)

@@ -36,9 +36,8 @@ def assembled(
 ) -> Loop:
     """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
 
-    controller, doe, recovery, safety: as for `steering_loop`. seed: of driver, sensors, gusts and the link's
-    delays. s: where the car starts [m]; None: where the scenario says.
-    Raises what `steering_loop` raises.
+    controller, doe, recovery, safety: as for `steering_loop`. seed: of driver, sensors, gusts and the link's delays. s:
+    where the car starts [m]; None: where the scenario says. Raises what `steering_loop` raises.
     """
     path, law = scenario.path(), cast(Any, bare(controller))
     own = scenario.reference == "own" and hasattr(law, "reference")

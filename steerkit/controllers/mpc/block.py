@@ -53,20 +53,18 @@ class PredictiveSteering(Block):
     preview is not finite), the command is held. Below `v_stop`, in reverse too, it is held as well: there the wheel
     does not move the car sideways. All commands keep `limit` and `rate_limit`.
 
-    Inputs: e [m], psi_e [rad] and preview [1/m] (curvatures at s + j*v*dt) at `reference`; v [m/s], beta [rad] and
-    r [rad/s] of the centre of gravity; delta_sw_meas [rad], where the wheel is. Outputs: delta_sw [rad]; status [1]:
-    where it came from, 0 solution, 1 plan, 2 fallback, 3 the command before; fault [1]: 0 none, 1 an input not
-    finite, 2 solver or check, 3 late, 4 standing; iterations [1] of the solver; milliseconds [1] since the inputs
-    came; residual [1] of the optimality conditions, NaN for an input that is not finite, 1e9 for a solution that is
-    not; plan [rad/s], the rates from this sample on. State: the commands on their way, the plan, the samples since
-    its solution.
+    Inputs: e [m], psi_e [rad] and preview [1/m] (curvatures at s + j*v*dt) at `reference`; v [m/s], beta [rad] and r
+    [rad/s] of the centre of gravity; delta_sw_meas [rad], where the wheel is. Outputs: delta_sw [rad]; status [1]:
+    where it came from, 0 solution, 1 plan, 2 fallback, 3 the command before; fault [1]: 0 none, 1 an input not finite,
+    2 solver or check, 3 late, 4 standing; iterations [1] of the solver; milliseconds [1] since the inputs came;
+    residual [1] of the optimality conditions, NaN for an input that is not finite, 1e9 for a solution that is not; plan
+    [rad/s], the rates from this sample on. State: the commands on their way, the plan, the samples since its solution.
     valid: v from 0.5 to 40 m/s (beyond, the model of the nearest is used), curvature up to 0.25/m. Beyond e_reach, e
     counts as e_reach. A batch is solved car by car. Equal arguments give equal results, except for milliseconds (0 with
     clock=None) and for what a `budget` makes of them. A command that is replaced on its way to the wheel (while another
     controller steers) is not known here. Of compiled loops those in C and in generated Python run it, to the same
     commands, and milliseconds is 0 there; it has no symbolic form.
-    errors: ValueError for bad parameters; TypeError when it is compiled with a `budget`, since a compiled loop has no
-    clock.
+    errors: TypeError when it is compiled with a `budget`, since a compiled loop has no clock.
     source: Rawlings, Mayne, Diehl 2017, sections 1.3 and 2.5; Frison, Diehl 2020 (HPIPM); Hoffmann et al. 2007.
     """
 

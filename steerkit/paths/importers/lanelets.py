@@ -181,10 +181,9 @@ def osm(file: str) -> Map:
     """The lanelets of an OSM file, if it has any (Lanelet2), else its ways for cars.
 
     A lanelet's centre is the middle of its bounds at equal shares of their lengths; lanelets follow each other where
-    both bounds do. Ways are cut where they meet, and driven both ways unless `oneway` says otherwise. Positions
-    become metres about the first node (ENU), or are Lanelet2's own local_x, local_y.
-    What lacks something is left out. Raises ValueError for a file without anything good.
-    Source: OSM XML 0.6; Poggenhans et al. 2018.
+    both bounds do. Ways are cut where they meet, and driven both ways unless `oneway` says otherwise. Positions become
+    metres about the first node (ENU), or are Lanelet2's own local_x, local_y. What lacks something is left out. Raises
+    ValueError for a file without anything good. Source: OSM XML 0.6; Poggenhans et al. 2018.
     """
     data = _Osm(file)
     faulty: dict[str, str] = {}
