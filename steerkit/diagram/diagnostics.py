@@ -59,8 +59,7 @@ def explained(error: Exception, blocks: Mapping[str, Block]) -> WiringError | No
     """The error of a block's code as one that says what a block does instead; None if it is none of the usual ones,
     which is then given a note that says where it came up.
 
-    `if` of a signal in a batch, functions of `math` on arrays, an attribute that is set, an input that is not there,
-    wrong names for `self.Y`.
+    `if` of a batch's signal, functions of `math` on arrays, a set attribute, a missing input, wrong names for `self.Y`.
     """
     if isinstance(error, WiringError) or (place := place_of(error, blocks)) is None:
         return None

@@ -37,8 +37,7 @@ def arrived(
 
         angle(t + s) = x(t) + (x(t + dt) - x(t)) (1 - exp(-s/lag))/(1 - exp(-dt/lag)),  0 <= s <= dt,
 
-    else in a line. The delay [s] is cut to the line's length. Each part of the way, up to the corner and from there to
-    the end, has no extremum inside.
+    else in a line. The delay [s] is cut to the line's length. The way has no extremum before its corner, nor after.
     """
     keep = m.exp(-dt / m.maximum(lag, 1e-3))
     lagged = command + (line[0] - command) * keep

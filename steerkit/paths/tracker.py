@@ -43,9 +43,8 @@ class PathTracker(Block):
     errors: ValueError for bad parameters and, in `settle`, for a pose that is not finite.
     source: Hoffmann et al. 2007 (e and psi_e of Stanley); Wang, Kearney, Atkinson 2002 (Newton on the foot point).
 
-    path: the path. reference [m]: how far ahead of the centre of gravity e is measured (l_f: front axle).
-    window [m]: longest step of the search, at most a round. preview_points, preview_dt [s]: the preview.
-    dt [s]: sample time.
+    path: the path. reference [m]: how far ahead of the centre of gravity e is measured (l_f: front axle). window [m]:
+    longest step of the search, a round at most. preview_points, preview_dt [s]: the preview. dt [s]: sample time.
     """
 
     x = In("m")
