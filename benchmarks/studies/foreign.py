@@ -222,7 +222,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
     cars = [car for car in options.cars or CARS if car in CARS][: 1 if quick else None]
     if part == "recovery":
         return [
-            Job(car, speed, factor, name, seed, 18.0 if quick else options.seconds, clean)
+            Job(car, speed, factor, name, seed, 15.2 if quick else options.seconds, clean)
             for seed in seeds
             for car in cars
             for name in (AUTO, *options.controllers)
@@ -231,7 +231,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
         ]
     if part == "adaptive":
         return [
-            AdaptiveJob(car, speed, name, lag, seed, 5.0 if quick else 60.0, clean)
+            AdaptiveJob(car, speed, name, lag, seed, 2.0 if quick else 60.0, clean)
             for seed in seeds
             for car in cars
             for speed in CARS[car].speeds[: 1 if quick else None]

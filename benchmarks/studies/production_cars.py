@@ -24,6 +24,7 @@ import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -379,14 +380,14 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All parts, with their tables."""
     ports = options.ports or (QUICK if options.quick else (*ANGLE, *TORQUE))
     some = QUICK[:1] if options.quick else LEARNS
-    seconds = 2.0 if options.quick else 60.0 * options.minutes / len(CONTROLLERS)
+    seconds = 1.1 if options.quick else 60.0 * options.minutes / len(CONTROLLERS)
     jobs: dict[str, tuple[Callable[[Any], dict[str, Any]], list[Any]]] = {
         "drives": (driven, [(n, c, seconds, i, options.speeds) for n in ports for i, c in enumerate(CONTROLLERS)]),
         "altered": (altered, [(name, 60 if options.quick else options.frames // len(ports) + 1, 1) for name in ports]),
         "learning": (
             learned,
             [
-                (name, seed, 1.5 if options.quick else 60.0 * options.learn_minutes, options.speeds)
+                (name, seed, 1.1 if options.quick else 60.0 * options.learn_minutes, options.speeds)
                 for name in some
                 for seed in range(1 if options.quick else options.seeds)
             ],
@@ -396,7 +397,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     if options.quick:
         jobs["drives"] = (driven, jobs["drives"][1][:: len(CONTROLLERS)])
         jobs["altered"] = (altered, jobs["altered"][1][-1:])
-        jobs["faults"] = (faulty, jobs["faults"][1][:1])
+        jobs["faults"] = (partial(faulty, before=0.5, after=0.5), jobs["faults"][1][:1])
     rows: dict[str, list[dict[str, Any]]] = {}
     console = Console(stderr=True)
     with spread.computing(spread.where(options)) as those:

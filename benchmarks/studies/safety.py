@@ -285,7 +285,7 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
     if "beyond" in options.parts:
         doubts = (2.0,) if quick else (0.6, 1.0, 2.0, 3.0)
         kinds, speeds = (KINDS[:1], (5.0,)) if quick else (HOSTILE, (3.0, 7.0, 15.0))
-        report |= beyond(3.0 if quick else 15.0, kinds, speeds, doubts, options.first_seed)
+        report |= beyond(2.0 if quick else 15.0, kinds, speeds, doubts, options.first_seed)
         for row in report["beyond"]:
             console.print(f"{row['v']:g} m/s, {row['doubts']:g} x off:", {k: round(row[k], 3) for k in list(row)[2:]})
     if "cost" in options.parts:
@@ -324,13 +324,14 @@ def on_the_car(drives: int, minutes: float, first_seed: int) -> dict[str, Any]:
 
 def learners(options: argparse.Namespace, those: spread.Workers, console: Console) -> dict[str, Any]:
     """All runs of the learners, seed by seed through the cars, so that a study that is stopped has all of them."""
-    quick, course = options.quick, "circle" if options.quick else "paper"  # each net is judged over a round
+    quick: bool = options.quick
+    course: Any = {"name": "circle", "rounds": 0.2} if quick else "paper"  # each net is judged over a round
     cars = [Scenario.under("hard", course=course, name="single track")]
     if not quick:
         cars += [*of_kind("multi-body"), *of_fleet(options.fleet)]
     seeds = range(options.first_seed, options.first_seed + (1 if quick else options.seeds))
     jobs = [
-        Job(scenario=car, seed=seed, minutes=0.1 if quick else options.minutes, safe=safe)
+        Job(scenario=car, seed=seed, minutes=0.07 if quick else options.minutes, safe=safe)
         for seed in seeds
         for safe in ((True, False) if seed - options.first_seed < options.compare else (True,))
         for car in cars

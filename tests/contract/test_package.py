@@ -17,6 +17,7 @@ import pytest
 import steerkit
 from benchmarks.run.sources import source
 from tests.contract.test_commands import Shell, bin_folder, carried_out, learned, make
+from tests.support import programs
 from tests.support.compilers import optimising
 from tests.support.places import ROOT, SUPPORT
 from tests.support.shell_lines import DOORS, FITTED, blocks, lines_in, step, table
@@ -131,13 +132,17 @@ for line in sys.stdin:
 
 
 class Prompt:
-    """A Python that is given the blocks of a page, one after the other, and programs to run in forks of it."""
+    """A Python that is given the blocks of a page, one after the other, and programs to run in forks of it.
 
-    def __init__(self, shell: Shell):
+    alone: one that starts from nothing, else a fork of this process.
+    """
+
+    def __init__(self, shell: Shell, *, alone: bool):
         how = {"cwd": shell.folder, "env": shell.environment, "text": True}
         self.errors = (shell.folder / "errors.txt").open("w+")
         words = [sys.executable, "-c", PROMPT, str(SUPPORT / "programs.py")]
-        self.process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, **how)
+        start: Any = subprocess.Popen if alone else programs.Forked
+        self.process = start(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, **how)
 
     def run(self, code: str) -> str:
         """What is wrong; empty: nothing."""
@@ -194,7 +199,7 @@ def test_a_page_for_users_leads_from_a_wheel_to_its_last_line(
             del shell.environment["CHECKOUT"]
         if page.stem in FITTED:
             shell.environment["CC"] = optimising()
-        prompt = stack.enter_context(contextlib.closing(Prompt(shell)))
+        prompt = stack.enter_context(contextlib.closing(Prompt(shell, alone=alone)))
         if alone:
             shell.fork = prompt.fork
         place = str(tmp_path if alone else ROOT)

@@ -15,7 +15,8 @@ import threading
 import types
 import warnings
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import pairwise
 from multiprocessing import resource_tracker, util
 from pathlib import Path
 from typing import IO, Any
@@ -25,6 +26,8 @@ SHARED = (
     *("pydantic", "rich", "scipy", "steerkit", "typer"),
 )
 """Packages of which programs import parts late: this process imports those too, once, for the next programs."""
+FIRST = ("steerkit.cli.drive", "steerkit.cli.learn", "steerkit.car.processes")
+"""What most programs import: this process does so before the first."""
 
 
 def alive(pid: int) -> bool:
@@ -57,6 +60,8 @@ def python(
             text=True,
             timeout=seconds,
         )
+    for name in FIRST:
+        importlib.import_module(name)
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err, tempfile.TemporaryFile("w+") as new:
         child = os.fork()
         if child == 0:
@@ -105,6 +110,7 @@ def _become(
         warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]
         sys.path[:0] = [str(folder), *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
         subprocess.Popen = Forked  # type: ignore[misc]
+        forking()
         if drawing := sys.modules.get("matplotlib.layout_engine"):  # a third of a short command's time
             drawing.ConstrainedLayoutEngine.execute = lambda *_: None  # type: ignore[attr-defined]
         code = _ended(words)
@@ -130,42 +136,97 @@ class Forked(subprocess.Popen[str]):
             return
         prepare, folder, environment = how[1], how[4], how[5]
         pipes = to_child, _, _, from_child, _, errors = how[9:15]  # as Popen orders them, -1: none
-        sys.stdout.flush()  # else the child writes what waits in it to its own output
-        sys.stderr.flush()
-        self.pid = os.fork()
-        if self.pid == 0:
-            code = 1
-            try:
-                if how[20]:  # start_new_session
-                    os.setsid()
-                for stream, number in ((to_child, 0), (from_child, 1), (errors, 2)):
-                    if stream >= 0:
-                        os.dup2(stream, number)
-                os.closerange(3, 1024)
-                os.chdir(folder or ".")
-                if environment is not None:
-                    given = dict(environment)
-                    os.environ.clear()
-                    os.environ.update(given)
-                if prepare:
-                    prepare()
-                subprocess.Popen = Forked  # type: ignore[misc]
-                logging.root.handlers.clear()  # a test's
-                tracker = resource_tracker._resource_tracker  # it was among those, if this process had used it
-                tracker._fd = tracker._pid = None  # type: ignore[attr-defined]
-                sys.stdin = os.fdopen(0, closefd=False, encoding="utf-8")
-                sys.stdout, sys.stderr = (os.fdopen(n, "w", closefd=False, encoding="utf-8") for n in (1, 2))
-                warnings.filterwarnings("ignore", category=RuntimeWarning, module="runpy")  # it was imported already
-                code = _ended(args[1:])
-                threading._shutdown()  # type: ignore[attr-defined]
-            except BaseException:
-                sys.excepthook(*sys.exc_info())
-            finally:
-                sys.stdout.flush()
-                sys.stderr.flush()
-                os._exit(code & 0xFF)
+        streams = [(stream, number) for number, stream in enumerate((to_child, from_child, errors)) if stream >= 0]
+        self.pid = _fork(
+            args[1:], streams=streams, session=how[20], folder=folder, environment=environment, prepare=prepare
+        )
         self._child_created = True
         self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
+
+
+def _fork(
+    words: Sequence[str],
+    *,
+    streams: Sequence[tuple[int, int]] = (),
+    keep: Collection[int] = (),
+    session: bool = False,
+    folder: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+    prepare: Callable[[], object] | None = None,
+) -> int:
+    """Start `python WORDS` as a fork of this process; returns its id.
+
+    streams: what its streams are, and their numbers. keep: descriptors that it has, beside those; no other is open.
+    """
+    sys.stdout.flush()  # else the child writes what waits in it to its own output
+    sys.stderr.flush()
+    if pid := os.fork():
+        return pid
+    code = 1
+    try:
+        if session:
+            os.setsid()
+        for stream, number in streams:
+            os.dup2(stream, number)
+        ends = [2, *sorted(keep), 1024]
+        for one, other in pairwise(ends):
+            os.closerange(one + 1, other)
+        if folder is not None:
+            os.chdir(folder)
+            sys.path.insert(0, str(folder))
+        if environment is not None:
+            given = dict(environment)
+            os.environ.clear()
+            os.environ.update(given)
+        if prepare:
+            prepare()
+        subprocess.Popen = Forked  # type: ignore[misc]
+        logging.root.handlers.clear()  # a test's
+        tracker = resource_tracker._resource_tracker  # it was among those, if this process had used it
+        tracker._fd = tracker._pid = None  # type: ignore[attr-defined]
+        for name in ("concurrent.futures.process", "joblib.externals.loky.process_executor"):
+            if name in sys.modules:  # processes that the parent has started are its own to end
+                sys.modules[name]._threads_wakeups.clear()
+        sys.stdin = os.fdopen(0, closefd=False, encoding="utf-8")
+        sys.stdout, sys.stderr = (os.fdopen(n, "w", closefd=False, encoding="utf-8") for n in (1, 2))
+        warnings.filterwarnings("ignore", category=RuntimeWarning, module="runpy")  # it was imported already
+        code = _ended(words)
+        threading._shutdown()  # type: ignore[attr-defined]
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code & 0xFF)
+
+
+def forking(set_to: Callable[[Any, str, Any], None] = setattr) -> None:
+    """What multiprocessing and joblib start are forks of this process, too; not where it has imported jax.
+
+    set_to: `monkeypatch.setattr`, for a test that starts them itself.
+    """
+    if "jax" in sys.modules:
+        return
+    spawned = util.spawnv_passfds  # type: ignore[attr-defined]
+
+    def spawn(path: Any, args: Sequence[str], fds: Collection[int]) -> int:
+        words = args[1:][args[1:].index("-c") :]
+        return _fork(words, keep=fds) if "spawn_main" in words[1] else spawned(path, args, fds)
+
+    set_to(util, "spawnv_passfds", spawn)
+    if "joblib" in sys.modules:
+        loky = importlib.import_module("joblib.externals.loky.backend.fork_exec")
+        executed = loky.fork_exec
+
+        def execute(args: Sequence[str], fds: Collection[int], env: Mapping[str, str] | None = None) -> int:
+            ours = args[2].endswith("popen_loky_posix")
+            return (
+                _fork(args[1:], keep=fds, environment={**os.environ, **(env or {})})
+                if ours
+                else executed(args, fds, env)
+            )
+
+        set_to(loky, "fork_exec", execute)
 
 
 def _ended(words: Sequence[str]) -> int:

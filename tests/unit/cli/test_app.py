@@ -19,6 +19,7 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.learning.experiment import Experiment
 from steerkit.scenario import Scenario
+from tests.support import programs
 from tests.support.command_lines import parsed, run
 from tests.support.parts import Count
 from tests.support.short_run import FAST
@@ -109,6 +110,7 @@ def test_a_run_that_ends_early_says_how_to_go_on(
 def test_the_demonstration_names_the_car_and_the_time_in_every_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    programs.forking(monkeypatch.setattr)
     setting = replace(FAST, retrain_every_m=0.0)
     short = Experiment(
         setting=setting, scenario=Scenario(course={"name": "circle", "rounds": 0.1}), minutes=3.0, rounds=1
@@ -188,8 +190,8 @@ def test_an_interrupt_inside_code_made_from_text_ends_with_130_too(tmp_path: Pat
         "import os, signal as s; s.signal(2, s.default_int_handler); os.kill(os.getpid(), 2)\nfor _ in range(9): pass"
     )
     (tmp_path / "mine.py").write_text(f"def make(belief):\n    exec({text!r})\n")
-    words = [sys.executable, "-m", "steerkit", "drive", "mine.py:make", "--course", "circle", "-q"]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120.0)
+    words = ("-m", "steerkit", "drive", "mine.py:make", "--course", "circle", "-q")
+    done = programs.python(*words, folder=tmp_path)
     assert done.returncode == 130, done.stderr
     assert "Traceback" not in done.stderr
 

@@ -2,7 +2,6 @@
 
 import math
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -21,8 +20,15 @@ from benchmarks.run.results import Results, load_results
 from benchmarks.run.runner import carry_out, run
 from benchmarks.run.spread import WorkersDiedError
 from benchmarks.suites import jobs, suite
+from tests.support import programs
 from tests.support.places import ROOT
 from tests.support.tiny_suite import TINY, same
+
+
+@pytest.fixture(autouse=True)
+def forks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers begin as forks: what they import takes longer than what they do. Others: tests/evals/test_cluster.py."""
+    programs.forking(monkeypatch.setattr)
 
 
 def test_processes_give_the_same_numbers_and_finished_cases_are_not_run_again(
@@ -54,7 +60,7 @@ def slow(work):
 runner.carry_out = slow
 runner.run([TINY], {str(place)!r}, workers=1, quiet=True)
 """
-    with subprocess.Popen([sys.executable, "-c", program]) as process:
+    with programs.Forked([sys.executable, "-c", program]) as process:
         until = time.monotonic() + 120.0
         while len(list(place.glob("cases/*.json"))) < 2 and process.poll() is None:
             assert time.monotonic() < until
