@@ -73,8 +73,8 @@ def controller(folder: Path) -> None:
 class Bench:
     """A simulated car, a car server and a controller that learns, and rounds in which one of them is killed."""
 
-    def __init__(self, folder: Path, seed: int):
-        self.folder, self.dice = folder, random.Random(seed)
+    def __init__(self, folder: Path, seed: int, longest: float):
+        self.folder, self.dice, self.longest = folder, random.Random(seed), longest
         self.socket = str(folder / "socket")
         self.log = folder / "car.jsonl"
         self.simulated, self.channel = processes.start_simulated(CONFIG, log=str(self.log))
@@ -123,7 +123,7 @@ class Bench:
     def kill(self, victim: str) -> dict[str, Any]:
         """One round; returns what happened."""
         before = self.up()
-        time.sleep(self.dice.uniform(0.3, 2.0))
+        time.sleep(self.dice.uniform(0.3, self.longest))
         with CarClient(self.socket, controller=False) as operator:
             if operator.query().mode != "ENGAGED":  # the learner went too far off; that is not what is tested here
                 self.engage()
@@ -207,7 +207,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     kills = (len(victims) if options.quick else 50) if options.kills is None else options.kills
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        bench = Bench(Path(folder), options.seed)
+        bench = Bench(Path(folder), options.seed, 0.5 if options.quick else 2.0)
         try:
             for n in range(kills):
                 rows.append(bench.kill(victims[n % len(victims)]))

@@ -293,7 +293,7 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
     if "learners" in options.parts:
         report |= learners(options, those, console)
     if "car" in options.parts:
-        report |= on_the_car(1 if quick else options.drives, 0.05 if quick else options.minutes, options.first_seed)
+        report |= on_the_car(1 if quick else options.drives, 0.03 if quick else options.minutes, options.first_seed)
     for key, value in report.items():
         if not isinstance(value, (dict, list)):
             console.print(f"{key:26s} {value:.4g}" if isinstance(value, float) else f"{key:26s} {value}")
@@ -324,8 +324,7 @@ def on_the_car(drives: int, minutes: float, first_seed: int) -> dict[str, Any]:
 
 def learners(options: argparse.Namespace, those: spread.Workers, console: Console) -> dict[str, Any]:
     """All runs of the learners, seed by seed through the cars, so that a study that is stopped has all of them."""
-    quick: bool = options.quick
-    course: Any = {"name": "circle", "rounds": 0.2} if quick else "paper"  # each net is judged over a round
+    quick, course = options.quick, "circle" if options.quick else "paper"  # each net is judged over a round
     cars = [Scenario.under("hard", course=course, name="single track")]
     if not quick:
         cars += [*of_kind("multi-body"), *of_fleet(options.fleet)]

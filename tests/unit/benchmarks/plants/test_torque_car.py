@@ -59,7 +59,7 @@ def test_sines_come_as_late_as_measured_at_either_frequency(seed: int, v: float)
 
 def test_without_a_command_it_wanders_more_the_faster_it_is() -> None:
     for v, deviation in ((8.0, 0.04), (30.0, 0.18)):
-        a = answer(TorqueCar(seed=5, v0=v), v, 900.0, lambda t: 0.0)[100:]
+        a = answer(TorqueCar(seed=5, v0=v), v, 450.0, lambda t: 0.0)[100:]
         assert a.std() == pytest.approx(deviation, rel=0.15)
         shared = [np.corrcoef(a[:-lag], a[lag:])[0, 1] for lag in (100, 200)]
         assert shared[0] > math.exp(-1.0) > shared[1], "correlated over 1 to 2 s"

@@ -129,7 +129,7 @@ def test_what_goes_wrong_in_a_case_is_its_result(tmp_path: Path) -> None:
 def test_a_learner_is_taught_once_and_its_net_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks.run import trainings
 
-    short = replace(trainings.TRAININGS["clean"], minutes=0.4)
+    short = replace(trainings.TRAININGS["clean"], minutes=0.2)
     monkeypatch.setitem(trainings.TRAININGS, "clean", short)
     one = replace(TINY, controllers=("stanley", "nfq-paper-idoe"), seeds=1)
     two = replace(one, name="tracking", scenarios=(TINY.scenarios[0].with_(name="slow", driver={"v_max": 5.0}),))
