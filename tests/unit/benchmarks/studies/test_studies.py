@@ -161,7 +161,7 @@ def sensible(name: str, f: Any) -> None:
             assert (f["good"], f["refused"]) == (log["good"], 0)  # after one update it is good on some processors only
             assert 0.001 < log["rms_e"] < 0.5
         case "intervals":
-            for name in ("delay_lag",):  # of two drives each
+            for name in ("delay_lag",):  # of a drive each
                 for part in ("made, gyro alone", "made, with heading"):
                     row = f["intervals"][f"{part}: {name}"]
                     assert row["told_pct"] == 0.0 or row["hold_pct"] > 60.0, (part, name)
