@@ -22,7 +22,7 @@ N = round(0.5 / DT)
 @cache
 def learned(noise: float, sway: float, turn: float) -> tuple[Drive, Tyres, Residual]:
     """From a drive on which accelerations besides come and go over 20 s."""
-    drive = made(seconds=60.0, noise=noise, sway=sway, turn=turn)
+    drive = made(seconds=90.0, noise=noise, sway=sway, turn=turn)
     tyres = identify_tyres(drive, VW_PASSAT)
     return drive, tyres, learn_residual(tyres, drive)
 
@@ -107,4 +107,4 @@ def test_it_is_judged_beside_the_others() -> None:
 def test_a_drive_that_is_too_short_is_refused() -> None:
     drive, tyres, _ = learned(0.002, 0.4, 0.1)
     with pytest.raises(ValueError, match="to learn a residual from, expected 8 s"):
-        learn_residual(tyres, replace(drive, measured=drive.t > 53.0))
+        learn_residual(tyres, replace(drive, measured=drive.t > 83.0))
