@@ -123,32 +123,35 @@ class DelayCompensator(SteeringAnswer):
     The measured state s(k) is what the angles until `samples` samples before have made of the car. The angles on
     their way since then are known, the bends ahead too: `moved`, once for each, gives the car's motion at the moment
     from which the next angle acts. A policy that gets that motion drives a car without dead time. Angles are those that
-    the car feels (`felt`). The measured w and r_e are filtered first, as sensors are noisy: trust*measured +
-    (1 - trust)*predicted a sample before.
+    the car feels (`felt`). The measured motion is filtered first, as sensors are noisy: w and r_e are trust*measured +
+    (1 - trust)*predicted a sample before, e and c the same by `trust_course`.
 
-    Raises ValueError unless 0 <= samples <= LONGEST and 0 < trust <= 1.
+    Raises ValueError unless 0 <= samples <= LONGEST, 0 < trust <= 1 and 0 < trust_course <= 1.
     Source: Walsh, Nouri, Li, Littman 2009 (learning with constant delay by simulating the model over it); Smith 1957.
     """
 
     samples: int = 0
     """Dead time in samples: whole ones; what is left of one is in the other numbers."""
     trust: float = 1.0
-    """Share of the measurement in the filtered values [1]."""
+    """Share of the measurement in the filtered w and r_e [1]."""
+    trust_course: float = 1.0
+    """Share of the measurement in the filtered e and c [1]."""
     dt: float = DT
     """Sample time [s]."""
 
     def __post_init__(self) -> None:
-        where, samples, trust = "DelayCompensator", self.samples, self.trust
+        where, samples = "DelayCompensator", self.samples
         whole = isinstance(samples, int) and 0 <= samples <= LONGEST
         require(whole, where, f"samples = {samples!r}, expected 0 to {LONGEST}")
-        require(0.0 < trust <= 1.0, where, f"trust = {trust}, expected 0 < trust <= 1")
+        for name in ("trust", "trust_course"):
+            trust = getattr(self, name)
+            require(0.0 < trust <= 1.0, where, f"{name} = {trust}, expected 0 < {name} <= 1")
 
     def ahead(self, x: State, u: Any) -> tuple[Any, ...]:
         """The policy's six inputs (e, e_dot, v, psi_e, r_e, doe) when its command acts; x, u: see `remember`."""
         v = m.maximum(u.v, SLOWEST)
-        w, r_e = self._filtered(x, u, v)
-        c = m.where(self.fast > 0.5, u.e_dot / v, w + u.psi_e)
-        motion, angles = CourseMotion(u.e, c, c - w, r_e), self._angles(x, u)
+        e, c, w, r_e = self._filtered(x, u, v)
+        motion, angles = CourseMotion(e, c, c - w, r_e), self._angles(x, u)
         for i in range(self.samples):
             bend = v * (u.preview[i + 1] - u.preview[i])
             motion = moved(self, motion, v, angles[i + 3 : i : -1], bend, self.dt)
@@ -168,18 +171,29 @@ class DelayCompensator(SteeringAnswer):
         v = m.maximum(u.v, SLOWEST)
         kappa = u.preview[0]
         w = turning(self, u.e_dot / v, u.psi_e, v, u.r_e + v * kappa)
-        return (*(u.doe,) * (_REMEMBERED + 1), w, u.r_e, v, kappa)
+        c = self._course(u, v, w)
+        c_before = c - self.dt * u.r_e
+        e_before = u.e - 0.5 * self.dt * v * (c_before + c)
+        return (*(u.doe,) * (_REMEMBERED + 1), e_before, c_before, w, u.r_e, v, kappa)
 
-    def _filtered(self, x: State, u: Any, v: Any) -> tuple[Any, Any]:
-        """w and r_e, filtered."""
-        *_, w, r_e, v_before, kappa = x
+    def _course(self, u: Any, v: Any, w: Any) -> Any:
+        """c as measured, or of a slow car by its w: the sensors' psi_e is the more exact."""
+        return m.where(self.fast > 0.5, u.e_dot / v, w + u.psi_e)
+
+    def _filtered(self, x: State, u: Any, v: Any) -> tuple[Any, ...]:
+        """e, c, w and r_e, filtered."""
+        *_, e, c, w, r_e, v_before, kappa = x
         bend = v * u.preview[0] - v_before * kappa
         foreseen = moved(self, CourseMotion(0.0, w, 0.0, r_e), v_before, self._angles(x, u)[2::-1], bend, self.dt)
+        c_next, w_next = c + (foreseen.c - w), foreseen.c - foreseen.psi_e
+        e_next = e + 0.5 * self.dt * v_before * (c + c_next)
+        known = m.is_finite(e_next + w_next + foreseen.r_e)  # else one NaN would stay for good
         seen = turning(self, u.e_dot / v, u.psi_e, v, u.r_e + v * u.preview[0])
-        w_next = foreseen.c - foreseen.psi_e
-        known = m.is_finite(w_next + foreseen.r_e)  # else one NaN would stay for good
-        filtered = w_next + self.trust * (seen - w_next), foreseen.r_e + self.trust * (u.r_e - foreseen.r_e)
-        return m.where(known, filtered[0], seen), m.where(known, filtered[1], u.r_e)
+        w = m.where(known, w_next + self.trust * (seen - w_next), seen)
+        r_e = m.where(known, foreseen.r_e + self.trust * (u.r_e - foreseen.r_e), u.r_e)
+        seen, trust = self._course(u, v, w), self.trust_course
+        c = m.where(known, trust * seen + (1.0 - trust) * c_next, seen)
+        return m.where(known, trust * u.e + (1.0 - trust) * e_next, u.e), c, w, r_e
 
     def _felt(self, x: State, u: Any) -> tuple[Any, Any]:
         """The angle that the car feels, and the slow part's next value."""
@@ -193,4 +207,4 @@ class DelayCompensator(SteeringAnswer):
 
 def nothing(batch: tuple[int, ...] = ()) -> State:
     """The state before the first sample."""
-    return (m.filled(0.0, batch),) * (_REMEMBERED + 5)
+    return (m.filled(0.0, batch),) * (_REMEMBERED + 7)

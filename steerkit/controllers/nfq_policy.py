@@ -252,7 +252,7 @@ class NfqPolicy(Policy):
 
 
 _STANDS = DelayCompensator()  # what a policy without a forecast remembers by
-_KEPT = (*ahead.ANSWER[:6], "straight", "trust", *ahead.ANSWER[6:], *ahead.FELT)
+_KEPT = (*ahead.ANSWER[:6], "straight", "trust", "trust_course", *ahead.ANSWER[6:], *ahead.FELT)
 """The numbers of a forecast, in the order of a policy's file."""
 
 

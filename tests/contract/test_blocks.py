@@ -74,7 +74,7 @@ _rng = np.random.default_rng(0)
 AT_ONCE = dict(now=0.004, before=0.005, earlier=0.003)
 TORQUE = dict(lead=0.6, fade=0.1, most=5.0, slew=8.0)
 LATE = DelayCompensator(samples=3, back=0.2, slip=4e-4, yaw=0.38, straight=0.05, loss=1e-3, **AT_ONCE, **TORQUE)
-FAST = dataclasses.replace(LATE, fast=1.0, tail=1e-3, trust=0.5)
+FAST = dataclasses.replace(LATE, fast=1.0, tail=1e-3, trust=0.5, trust_course=0.3)
 NETS = tuple(tuple(_rng.normal(size=size) for size in ((5, 7), 5, (3, 5), 3, (1, 3), 1)) for _ in range(3))
 LAYERS = ((_rng.normal(size=(5, 6)), _rng.normal(size=5)), (_rng.normal(size=(3, 5)), _rng.normal(size=3)))
 

@@ -37,7 +37,8 @@ AS_GOOD = 1.02
 """A longer dead time is preferred to a shorter one that explains w better by less than this factor: the model's three
 angles can stand for a sample of it, and the process that is learned is the simpler, the less of it is left."""
 NOTHING = 1e-5
-"""Turn in a sample that is as good as none [rad], for records without noise."""
+"""Turn in a sample that is as good as none [rad], for records without noise; above `scaled_from` by (v/v0)^2 less. A
+fast car's angles are small: with 1e-5 at 15 m/s, the calmer a net drove, the longer the dead time that was found."""
 PIECE = 200
 """Rows of the pieces in which it is asked whether the dead time has changed."""
 CHANGED = 0.4
@@ -63,7 +64,10 @@ OFFSET = 8.0
 """How much more evidence than CENTRED's samples a fast car's offset needs: its angles are small, and what steering by
 torque leaves unexplained can look like one. With 30, a real one of 2 degrees is hardly seen."""
 TRUST = 0.25
-"""Share of what is seen in the filtered values (see `DelayCompensator.trust`)."""
+"""Share of what is seen in the filtered w and r_e (see `DelayCompensator`) ..."""
+TRUST_COURSE = 0.1
+"""... and, of a fast car, in e and c: a net that drives at 1 mm answers the last digit of a pose (1 mm, 1e-4 rad) with
+the wheel else, three to six times as restlessly as MPC."""
 
 
 LEADS = (0.3, 0.6, 1.2, 2.4)
@@ -103,10 +107,11 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     record = with_heading_of_yaw_rate(record) if fast else record
     most = min(LONGEST, round(longest / DT))
     record = since_change(record, most)
+    nothing = NOTHING * min(1.0, description.scaled_from / float(speed(record.s).max(initial=1.0))) ** 2
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
-        record = since_other_gain(record, dead_time_of(record, most))
+        record = since_other_gain(record, dead_time_of(record, most, nothing))
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
-        best = dead_time_of(record, most)
+        best = dead_time_of(record, most, nothing)
         part = aligned(record, best)
         model = refined(CarModel.fit(part, description, fast=fast), part)
     else:
@@ -114,7 +119,8 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     if fast:
         model = overshooting(model, part, description)
     numbers = {name: getattr(model, name) for name in (*ANSWER, *FELT, "straight")}
-    forecast = DelayCompensator(samples=best, trust=TRUST, **numbers)
+    course = TRUST_COURSE if fast else 1.0
+    forecast = DelayCompensator(samples=best, trust=TRUST, trust_course=course, **numbers)
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
     s_next[:, DOE] -= model.straight
@@ -208,14 +214,14 @@ def _left(squares: Array) -> Array:
     return 1.0 / np.linalg.inv(some)[..., -1, -1]
 
 
-def dead_time_of(record: Transitions, longest: int) -> int:
+def dead_time_of(record: Transitions, longest: int, nothing: float = NOTHING) -> int:
     """The dead time [samples], 0 to `longest`, that explains w, the course's angle to the car, best; 0 of too few rows.
 
-    The longest of those that are as good as the best, by AS_GOOD.
+    The longest of those that are as good as the best, by AS_GOOD and `nothing` [rad].
     """
     errors = unexplained(record, longest) or [0.0]
     best = int(np.argmin(errors))
-    while best + 1 < len(errors) and errors[best + 1] <= AS_GOOD * min(errors) + NOTHING:
+    while best + 1 < len(errors) and errors[best + 1] <= AS_GOOD * min(errors) + nothing:
         best += 1
     return best
 

@@ -53,7 +53,7 @@ def driven(car: DelayCompensator, n: int = 80, seed: int = 0) -> tuple[list[Any]
 @pytest.mark.parametrize("trust", [1.0, 0.25])
 @pytest.mark.parametrize("kind", [CAR, FAST, TORQUE], ids=["slow", "fast", "torque"])
 def test_the_forecast_is_where_the_car_will_be(kind: DelayCompensator, samples: int, trust: float) -> None:
-    car = replace(kind, samples=samples, trust=trust)
+    car = replace(kind, samples=samples, trust=trust, trust_course=min(1.0, 2.4 * trust))
     seen, motions = driven(car)
     x = car.at_first(seen[0])
     for k, u in enumerate(seen):
@@ -91,19 +91,24 @@ def test_in_a_steady_bend_a_fast_car_turns_as_its_wheel_says_and_soft_tyres_take
     assert first.c == pytest.approx((0.9 - 2e-3 * v * v) * p + 0.5 * DT * first.r_e, rel=1e-9)
 
 
-def test_noise_is_filtered_and_a_nan_is_forgotten() -> None:
-    car = replace(CAR, trust=0.25)
+@pytest.mark.parametrize("broken", ["e", "e_dot", "r_e"])
+@pytest.mark.parametrize("kind", [CAR, FAST], ids=["slow", "fast"])
+def test_noise_is_filtered_and_a_nan_is_forgotten(kind: DelayCompensator, broken: str) -> None:
+    car = replace(kind, samples=0, trust=0.25, trust_course=0.1)
     seen, motions = driven(car)
     rng, errors, x = np.random.default_rng(1), [], car.at_first(seen[0])
     for k, u in enumerate(seen):
-        u = SimpleNamespace(**{**vars(u), "r_e": u.r_e + rng.normal(0.0, 0.01)})
+        values = {name: getattr(u, name) + rng.normal(0.0, 0.01) for name in ("e", "e_dot", "r_e")}
+        u = SimpleNamespace(**{**vars(u), **values})
         if k == 30:
-            u.r_e = float("nan")
-        if k > 45:
-            errors.append(car._filtered(x, u, u.v)[1] - motions[k].r_e)
+            setattr(u, broken, float("nan"))
+        if k > 50:
+            e, e_dot, v, _, r_e, _ = car.ahead(x, u)
+            errors.append((e - motions[k].e, e_dot - v * motions[k].c, r_e - motions[k].r_e))
         x = car.remember(x, u)
         assert np.isfinite(x).all() or 30 <= k < 33
-    assert 0.0 < np.std(errors) < 0.006  # of 0.01
+    assert (0.0 < np.std(errors, axis=0)).all()
+    assert (np.std(errors, axis=0) < 0.006).all()  # of 0.01
 
 
 def test_a_policy_with_a_forecast_comes_back_bit_for_bit(tmp_path: Path) -> None:
@@ -113,7 +118,7 @@ def test_a_policy_with_a_forecast_comes_back_bit_for_bit(tmp_path: Path) -> None
     assert (again.forecast, again.continuous, again.preview_points) == (TORQUE, True, PREVIEW)
     kept = dict(np.load(tmp_path / "p.npz")) | {"forecast": np.zeros(12)}
     np.savez(tmp_path / "p.npz", **kept)
-    with pytest.raises(ValueError, match="12 numbers, expected 16"):
+    with pytest.raises(ValueError, match="12 numbers, expected 17"):
         NfqPolicy.load(tmp_path / "p.npz")
 
 
@@ -141,6 +146,7 @@ def test_a_net_and_its_mirror_image_steer_a_car_that_is_the_same_in_the_mirror()
 def test_numbers_out_of_range_are_refused() -> None:
     keeps_range(DelayCompensator, "samples", f"[0, {LONGEST}]")
     keeps_range(DelayCompensator, "trust", "(0.0, 1.0]")
+    keeps_range(DelayCompensator, "trust_course", "(0.0, 1.0]")
     with pytest.raises(ValueError, match="samples"):
         DelayCompensator(samples=2.0)
     with pytest.raises(ValueError, match="preview_points"):
