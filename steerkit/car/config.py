@@ -329,6 +329,8 @@ def _command(config: CarConfig) -> Iterator[str]:
     for side in (-largest, largest):
         try:
             writer.write(math.trunc(side / writer.quantum) * writer.quantum, enable=True)
+        except ImportError:
+            raise
         except Exception as error:  # whatever the DBC library says of a value that does not fit
             low, high = signal_range(signal)
             yield (

@@ -23,6 +23,7 @@ from steerkit.learning.nfq.model import (
     CarModel,
     angles_felt,
     course_share,
+    explained,
     follow,
     speed,
     with_heading_of_yaw_rate,
@@ -66,8 +67,12 @@ torque leaves unexplained can look like one. With 30, a real one of 2 degrees is
 TRUST = 0.25
 """Share of what is seen in the filtered w and r_e (see `DelayCompensator`) ..."""
 TRUST_COURSE = 0.1
-"""... and, of a fast car, in e and c: a net that drives at 1 mm answers the last digit of a pose (1 mm, 1e-4 rad) with
-the wheel else, three to six times as restlessly as MPC."""
+"""... and, of a fast car, in e and c where they are noise (see `trust_in_course`)."""
+TAKEN_BACK = 0.05
+"""Correlation of what a model did not foresee of c with that of the sample before: noise if it is below that, negative
+..."""
+CERTAIN = 2.0
+"""... by that many standard errors."""
 
 
 LEADS = (0.3, 0.6, 1.2, 2.4)
@@ -83,6 +88,9 @@ LOOKED_AT = 1500
 BETTER = 0.95
 """They are believed where w is foreseen by that factor better with them."""
 
+
+_LEAST = (-np.inf, 0.0, 0.0, 0.0, -np.inf)
+"""Of a fast car's `keep`, gains and constant."""
 
 Array = NDArray[np.float64]
 
@@ -107,11 +115,10 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     record = with_heading_of_yaw_rate(record) if fast else record
     most = min(LONGEST, round(longest / DT))
     record = since_change(record, most)
-    nothing = NOTHING * min(1.0, description.scaled_from / float(speed(record.s).max(initial=1.0))) ** 2
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
-        record = since_other_gain(record, dead_time_of(record, most, nothing))
+        record = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
-        best = dead_time_of(record, most, nothing)
+        best = dead_time_of(record, most, description.scaled_from)
         part = aligned(record, best)
         model = refined(CarModel.fit(part, description, fast=fast), part)
     else:
@@ -119,12 +126,12 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     if fast:
         model = overshooting(model, part, description)
     numbers = {name: getattr(model, name) for name in (*ANSWER, *FELT, "straight")}
-    course = TRUST_COURSE if fast else 1.0
-    forecast = DelayCompensator(samples=best, trust=TRUST, trust_course=course, **numbers)
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
     s_next[:, DOE] -= model.straight
-    return Process(Transitions(COLUMNS, s, part.a, s_next, part.episode, part.own), model, forecast)
+    process = Transitions(COLUMNS, s, part.a, s_next, part.episode, part.own)
+    course = trust_in_course(model, process) if fast else 1.0
+    return Process(process, model, DelayCompensator(samples=best, trust=TRUST, trust_course=course, **numbers))
 
 
 def _of_others(
@@ -146,6 +153,24 @@ def _of_others(
     good = [one for one in found if one[0] <= AS_GOOD * least + NOTHING]
     _, samples, part, model = min(good, key=lambda one: abs(one[1] - likely))
     return samples, part, model
+
+
+def trust_in_course(model: CarModel, record: Transitions) -> float:
+    """Share of the measured e and c in a forecast's: TRUST_COURSE where c is noisy, 1 where the model is what is wrong.
+
+    The noise of a measurement is taken back a sample later, so that what comes otherwise than foreseen, y, has
+
+        rho = E[y(k) y(k - 1)]/E[y^2] = -1/2,   0 or more where it is the car's doing (wind, wear in the steering),
+
+    in n samples to within 1/sqrt(n). A net that drives at 1 mm else answers the last digit of a pose (1 mm, 1e-4 rad)
+    with the wheel, at 1 to 10 Hz. Source: Muth 1960 (the local level model); Box, Jenkins 1970, section 4.3.
+    """
+    y = explained(model, record).residual[:, E_DOT] / speed(record.s_next)
+    y, row = y - y.mean(), np.flatnonzero(follow(record))
+    if len(row) < REFINED:
+        return 1.0
+    rho = float(np.mean(y[row] * y[row - 1]) / max(float(np.mean(y * y)), 1e-30))
+    return TRUST_COURSE if rho < -TAKEN_BACK - CERTAIN / np.sqrt(len(row)) else 1.0
 
 
 def since_change(record: Transitions, longest: int) -> Transitions:
@@ -214,12 +239,14 @@ def _left(squares: Array) -> Array:
     return 1.0 / np.linalg.inv(some)[..., -1, -1]
 
 
-def dead_time_of(record: Transitions, longest: int, nothing: float = NOTHING) -> int:
+def dead_time_of(record: Transitions, longest: int, scaled_from: float = np.inf) -> int:
     """The dead time [samples], 0 to `longest`, that explains w, the course's angle to the car, best; 0 of too few rows.
 
-    The longest of those that are as good as the best, by AS_GOOD and `nothing` [rad].
+    The longest of those that are as good as the best, by AS_GOOD and NOTHING. scaled_from: speed above which a record's
+    car is fast, and `fast` in `unexplained` [m/s].
     """
-    errors = unexplained(record, longest) or [0.0]
+    share = min(1.0, scaled_from / float(speed(record.s).max(initial=1.0)))
+    errors, nothing = unexplained(record, longest, fast=share < 1.0) or [0.0], NOTHING * share * share
     best = int(np.argmin(errors))
     while best + 1 < len(errors) and errors[best + 1] <= AS_GOOD * min(errors) + nothing:
         best += 1
@@ -240,7 +267,7 @@ def lateness(record: Transitions) -> float:
     return float(-late / max(abs(gain + loss * np.mean(v * v)), 1e-9))
 
 
-def unexplained(record: Transitions, longest: int) -> list[float]:
+def unexplained(record: Transitions, longest: int, *, fast: bool = False) -> list[float]:
     """What dead times of 0 to `longest` samples leave unexplained of w, the course's angle to the car, RMS [rad].
 
     Least squares of each dead time n, all on the same rows k, so that what they leave unexplained is compared:
@@ -248,8 +275,12 @@ def unexplained(record: Transitions, longest: int) -> list[float]:
         w(k + 1) = keep w(k) + sum_i gains_i doe(k - n - i) + constant,   i = 0, 1, 2, as in `CarModel`.
 
     The rows are those with enough samples of their episode before them. In a record too short for that only shorter
-    ones are tried. Source: Ljung 1999, section 4.2 (ARX).
+    ones are tried. fast: no gain is negative, as a car turns to where it is steered, and its yaw rate (its w) shows
+    that at once. Gains of both signs foresee a calmly turned wheel from its past: then a dead time that is samples too
+    long, or too short, explains w as well. Source: Ljung 1999, section 4.2 (ARX); Lawson, Hanson 1974, chapter 23.
     """
+    from scipy.optimize import lsq_linear  # loads as slowly as all else that a drive needs
+
     w, episode = record.s[:, E_DOT] / speed(record.s) - record.s[:, PSI_E], np.cumsum(~follow(record))
     for most in range(longest, -1, -1):
         row = np.arange(most + 2, len(record) - 1)
@@ -262,6 +293,8 @@ def unexplained(record: Transitions, longest: int) -> list[float]:
     for n in range(most + 1):
         columns = np.column_stack((w[row], doe[row - n], doe[row - n - 1], doe[row - n - 2], np.ones(len(row))))
         coefficients, *_ = np.linalg.lstsq(columns, w[row + 1], rcond=None)
+        if fast and (coefficients[1:4] < 0.0).any():
+            coefficients = lsq_linear(columns, w[row + 1], (_LEAST, np.inf), method="bvls").x
         errors.append(float(np.sqrt(np.mean((columns @ coefficients - w[row + 1]) ** 2))))
     return errors
 
@@ -310,9 +343,10 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     bounds: tuple[Any, Any] = (-np.inf, np.inf)
     if fast:
         most = np.array([np.inf] * 4 + [MOST_LOST / fastest, np.inf])
-        bounds = (np.array([-np.inf] * 4 + [LEAST_LOST / fastest, -np.inf]), most)
+        bounds = (np.array([0.0] * 3 + [-np.inf, LEAST_LOST / fastest, -np.inf]), most)
     scale = (1e-2, 1e-2, 1e-2, 1e-1, 1e-3, 1e-3)
-    found = least_squares(strays, _weights(model), bounds=bounds, x_scale=scale, max_nfev=30)
+    first = np.clip(_weights(model), *bounds)
+    found = least_squares(strays, first, bounds=bounds, x_scale=scale, max_nfev=30)
     now, before, earlier, back, grown, constant = (float(value) for value in found.x)
     answer = {"now": now, "before": before, "earlier": earlier, "back": back}
     if fast:

@@ -10,7 +10,15 @@ from steerkit.controllers.delay_compensator import FELT, LENGTH, UNLIMITED
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.dead_time import aligned, dead_time_of, process_of, refined, since_change, since_other_gain
+from steerkit.learning.nfq.dead_time import (
+    TRUST_COURSE,
+    aligned,
+    dead_time_of,
+    process_of,
+    refined,
+    since_change,
+    since_other_gain,
+)
 from steerkit.learning.nfq.iterate import FitSetting, Learned, Problem, update
 from steerkit.learning.nfq.model import CarModel, Felt, with_heading_of_yaw_rate
 from steerkit.learning.nfq.rprop import Fit
@@ -102,6 +110,46 @@ def test_noise_and_little_data_move_the_dead_time_by_a_sample_at_most(
         record = late(samples, car=car, speeds=speeds, n=240, noise=0.01, straight=0.05)
         record = with_heading_of_yaw_rate(record) if car.fast else record
         assert dead_time_of(record, 12) == pytest.approx(samples, abs=1)
+
+
+def calmly_steered(samples: int, *, wanders: float = 0.0, n: int = 1500) -> Transitions:
+    """Of a fast car whose wheel turns slowly, seen to 1e-4 rad; wanders: by how much its course does [rad]."""
+    rng, k, v = np.random.default_rng(5), np.arange(n + 1), 15.0
+    doe = 0.05 * np.sin(0.15 * k) + 0.03 * np.sin(0.31 * k + 1.0) + 0.02 * np.sin(0.05 * k)
+    acts = 0.006 * (np.roll(doe, samples) + np.roll(doe, samples + 1)) / (1.0 + FAST.loss * v * v)
+    w, course = np.zeros(n + 1), np.zeros(n + 1)
+    for i in range(n):
+        p = acts[i + 1] - FAST.back * w[i]
+        w[i + 1] = w[i] + p
+        course[i + 1] = course[i] + (FAST.nose - FAST.tail * v * v) * p + 0.05 * v * (w[i] + w[i + 1]) / 2.0 / LENGTH
+    course += np.cumsum(rng.normal(0.0, wanders, n + 1)) if wanders else 0.0
+    course, w = 1e-4 * np.round(course / 1e-4), w + rng.normal(0.0, 3e-5, n + 1)
+    s = np.column_stack((0.0 * k, v * course, 0.0 * k + v, course - w, v * w / LENGTH, doe, 0.0 * k))
+    record = Transitions((*COLUMNS, "kappa"))
+    record.extend(s[:-1], np.diff(doe), s[1:], 0)
+    return record
+
+
+@pytest.mark.parametrize("samples", [2, 5, 8])
+def test_the_dead_time_of_a_fast_car_shows_in_calm_steering_too(samples: int) -> None:
+    """A slowly turned wheel is foreseen from its past by gains of both signs: a dead time of any length explains it."""
+    record = calmly_steered(samples)
+    assert dead_time_of(record, 12) > samples + 1, "it shows without that: nothing is tried here"
+    assert dead_time_of(record, 12, DESCRIPTION.scaled_from) == pytest.approx(samples, abs=1)
+    process = process_of(record, DESCRIPTION, 0.6)
+    assert process.forecast.samples == pytest.approx(samples, abs=1)
+    assert min(process.model.now, process.model.before, process.model.earlier) >= 0.0
+    assert process.model.ratio(np.array([15.0])) == pytest.approx(0.012 / (1.0 + FAST.loss * 225.0) / 0.2, rel=0.02)
+
+
+def test_a_course_is_filtered_where_its_noise_is_that_of_the_sensor() -> None:
+    def trust(record: Transitions) -> float:
+        return process_of(record, DESCRIPTION, 0.6).forecast.trust_course
+
+    assert trust(calmly_steered(3)) == TRUST_COURSE
+    assert trust(calmly_steered(3, wanders=2e-4)) == 1.0, "what the car does is not noise"
+    assert trust(late(3, car=FAST, speeds=(12.0, 24.0), n=60)) == 1.0, "too few rows to say"
+    assert trust(late(3, noise=0.01)) == 1.0, "a slow car's is as it was"
 
 
 def test_a_record_too_short_for_a_dead_time_is_taken_to_have_none_or_one_that_it_can_show() -> None:
