@@ -10,7 +10,8 @@
   altered_passed counts those that pass. Then a controller without sense asks the gate for anything, NaN included, while
   the car drives straight on: gate_passed_wrong counts frames that left the port and were rejected.
 * learning: from nothing, with the safety filter, behind gate and port. A net is good when it steered for 20 s on end
-  within 0.5 m. departures: samples with |e| > 0.5 m while engaged, the first second of each left out.
+  within 0.5 m. departures: samples with |e| > 0.5 m while engaged, the first second of each left out. RMS e and wheel
+  are of the last minute, MPC's of its own drive as long, so on the same stretch.
 * faults: what goes wrong in mid-drive; silent_s: until the last frame that asks for steering.
 
     python -m benchmarks study production_cars [--parts PART ...] [--ports NAME ...] [--minutes M] [--speeds LOW HIGH]
@@ -72,6 +73,8 @@ CONTROLLERS = ("lqr", "mpc", AUTO)
 PARTS = ("drives", "altered", "learning", "faults")
 GOOD = 20.0
 """A net that steers for so long on end is good [s]."""
+JUDGED = 60.0
+"""Time at the end over which learners and MPC are compared, on the same stretch [s]."""
 PAUSES = 3.0
 """Between a fault and its end [s]."""
 FAULTS = {
@@ -119,6 +122,10 @@ class Drive:
         machine = self.world.core.machine
         return machine.cause if machine.mode in (Mode.FAULT, Mode.OVERRIDE) else ""
 
+    def rms_e(self, last: float) -> float:
+        """RMS e over the last seconds [m]."""
+        return float(np.sqrt(np.mean(np.square(self.e[-round(last / DT) :] or [math.nan]))))
+
     def wheel_rate_deg(self, last: float = math.inf) -> float:
         """RMS rate of the steering wheel over the last seconds [deg/s]."""
         wheel = self.wheel if last == math.inf else self.wheel[-round(last / DT) :]
@@ -162,6 +169,8 @@ def driven(piece: tuple[str, str, float, int, tuple[float, float] | None]) -> di
         "max_e": float(np.abs(e).max()),
         "rms_e": float(np.sqrt(np.mean(e**2))),
         "wheel": drive.wheel_rate_deg(),
+        "last_rms_e": drive.rms_e(JUDGED),
+        "last_wheel": drive.wheel_rate_deg(JUDGED),
         "v": float(world.car.now.v),
         "frames": counts.received + counts.sent,
         "sent": counts.sent,
@@ -302,10 +311,9 @@ def learned(piece: tuple[str, int, float, tuple[float, float] | None]) -> dict[s
             since = (since if math.isfinite(since) else world.t) if steers and abs(drive.e[-1]) < TRIP else math.nan
             if math.isnan(good) and world.t - since >= GOOD:
                 good = since - drive.engaged_at
-        last = np.array(drive.e[-round(60.0 / DT) :])
         figures = learner.figures()
-    best = driven((name, "mpc", min(60.0, seconds), seed, speeds))
-    wheel = drive.wheel_rate_deg(60.0)
+    best = driven((name, "mpc", seconds, seed, speeds))
+    rms_e, wheel = drive.rms_e(JUDGED), drive.wheel_rate_deg(JUDGED)
     return {
         "port": name,
         "seed": seed,
@@ -316,10 +324,10 @@ def learned(piece: tuple[str, int, float, tuple[float, float] | None]) -> dict[s
         "updates": figures["updates"],
         "failures": figures["failures"],
         "share": steered / max(1, len(drive.e)),
-        "rms_e": float(np.sqrt(np.mean(last**2))),
-        "rms_x_mpc": float(np.sqrt(np.mean(last**2))) / best["rms_e"],
+        "rms_e": rms_e,
+        "rms_x_mpc": rms_e / best["last_rms_e"],
         "wheel": wheel,
-        "wheel_x_mpc": wheel / best["wheel"],
+        "wheel_x_mpc": wheel / best["last_wheel"],
         "ended": [cause for _, mode, cause in world.modes if mode in (Mode.FAULT, Mode.OVERRIDE)],
     }
 

@@ -273,7 +273,9 @@ def iterate(
     if setting.imagined and model is None:
         model = CarModel.fit(transitions, problem.description)
     if isinstance(problem.cost, TanhCost):
-        problem = replace(problem, cost=problem.cost.narrowed(transitions.s[-NEWEST:, E]))
+        newest_s = transitions.s[-NEWEST:]
+        fast = float(problem.description.excess(np.median(newest_s[:, V])))
+        problem = replace(problem, cost=problem.cost.narrowed(newest_s[:, E], fast))
     nets: Nets = tuple(nets_before)
     size = 2 if setting.symmetric else 1
     members = [nets[i : i + size] for i in range(0, len(nets), size)]

@@ -36,6 +36,7 @@ def test_a_well_is_as_wide_as_the_driving_is_good() -> None:
     cost = TanhCost(goal=0.15, goal_least=0.05)
     for e, goal in ((0.001, 0.05), (0.004, 0.1), (0.02, 0.15)):
         assert cost.narrowed(np.array([e, -e, 3.0 * e, 0.0, e])).goal == pytest.approx(goal)
+    assert [cost.narrowed(np.zeros(3), fast).goal for fast in (1.0, 2.0, 4.0)] == [0.05, 0.1, 0.15]
     assert TanhCost(goal=0.15).narrowed(np.zeros(3)).goal == 0.15
     assert cost.narrowed(np.zeros(0)) is cost
     with pytest.raises(ValueError, match="goal_least <= goal"):

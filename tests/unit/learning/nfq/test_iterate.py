@@ -150,6 +150,18 @@ def test_mirror_doubles_the_data_with_the_same_targets(fitted: list[tuple[np.nda
     np.testing.assert_array_equal(y[200:], 0.0)
 
 
+@pytest.mark.parametrize(("v", "goal"), [(6.0, 0.05), (16.0, 0.1), (30.0, 0.15)])
+def test_a_fast_cars_well_is_wider(fitted: list[tuple[np.ndarray, np.ndarray]], v: float, goal: float) -> None:
+    record, calm = recorded(40), Transitions()
+    s, s_next = record.s * 1e-2, record.s_next * 1e-2  # on the path
+    s[:, 2] = s_next[:, 2] = v
+    calm.extend(s, record.a, s_next, record.episode, True)
+    cost = TanhCost(goal=0.15, goal_least=0.05, action_cost=0.0)
+    description = StateDescription(scaled_from=8.0)
+    iterate(calm, Problem(actions=ACTIONS, cost=cost, fit=FitSetting(epochs=1, hints=0), description=description))
+    assert fitted[0][1] == pytest.approx(TanhCost(goal=goal).steps(s_next[:, 0], np.zeros(40)), rel=1e-5)
+
+
 def test_updates_say_what_is_wrong() -> None:
     record, narrow = recorded(10), Transitions(("e", "v"))
     narrow.append((0.0, 1.0), 0.0, (0.0, 1.0), 0)
