@@ -153,7 +153,7 @@ def test_mirror_doubles_the_data_with_the_same_targets(fitted: list[tuple[np.nda
 @pytest.mark.parametrize(("v", "goal"), [(6.0, 0.05), (16.0, 0.1), (30.0, 0.15)])
 def test_a_fast_cars_well_is_wider(fitted: list[tuple[np.ndarray, np.ndarray]], v: float, goal: float) -> None:
     record, calm = recorded(40), Transitions()
-    s, s_next = record.s * 1e-2, record.s_next * 1e-2  # on the path
+    s, s_next = record.s * 1e-3, record.s_next * 1e-3  # on the path
     s[:, 2] = s_next[:, 2] = v
     calm.extend(s, record.a, s_next, record.episode, True)
     cost = TanhCost(goal=0.15, goal_least=0.05, action_cost=0.0)
