@@ -288,12 +288,11 @@ def learned(piece: tuple[str, int, float, tuple[float, float] | None]) -> dict[s
     name, seed, seconds, speeds = piece
     world: Any = ProductionWorld(config_of(name), seed=seed, **_between(speeds))
     how = replace(setting("default"), safe=True)
+    given: dict[str, Any] = {"seed": seed, "clock": None, "trainer": Beside(world)}
     with (
         tempfile.TemporaryDirectory() as folder,
-        CarLearner(how, Path(folder) / "run", world.config, world.path, world, seed=seed, clock=None) as learner,
+        CarLearner(how, Path(folder) / "run", world.config, world.path, world, **given) as learner,
     ):
-        learner.trainer.close()
-        learner.trainer = learner.learner_state.trainer = Beside(world)  # type: ignore[assignment]
         learner.remark()
         drive = Drive(world, learner.follow.resting, learner.step)
         good, since, departures, steered = math.nan, math.nan, 0, 0

@@ -49,7 +49,8 @@ class CarLearner(contextlib.ExitStack):
     """A learning run on a real car, behind `link`: `run` it, in a `with`.
 
     setting: how. place: run directory; a run there is continued with all its transitions and its newest net. config,
-    path: the car and its course. seed: of the nets. recovery: a controller's name. clock: as of `car_loop`.
+    path: the car and its course. seed: of the nets. recovery: a controller's name. clock: as of `car_loop`. trainer:
+    default: a process of its own.
 
     While the car is ENGAGED, every sample is recorded, and whether the policy steered. When the recovery controller has
     to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process
@@ -69,6 +70,7 @@ class CarLearner(contextlib.ExitStack):
         seed: int = 0,
         recovery: str = AUTO,
         clock: Callable[[], float] | None = time.perf_counter,
+        trainer: Trainer | None = None,
     ):
         where = f"setting '{setting.name}' on a car"
         after = f"after_failure = '{setting.after_failure}', expected 'recovery'; the other is for simulations"
@@ -81,10 +83,12 @@ class CarLearner(contextlib.ExitStack):
         with contextlib.ExitStack() as stack:
             stack.push(self)
             self.enter_context(held(place))
-            self._begin(config, path, seed, clock)
+            self._begin(config, path, seed, clock, trainer)
             stack.pop_all()
 
-    def _begin(self, config: CarConfig, path: Path, seed: int, clock: Callable[[], float] | None) -> None:
+    def _begin(
+        self, config: CarConfig, path: Path, seed: int, clock: Callable[[], float] | None, trainer: Trainer | None
+    ) -> None:
         setting, place = self.setting, self.place
         _claim(place, setting)
         self.store = TransitionStore(place / "transitions.db", run=RUN, names=setting.recorded())
@@ -94,7 +98,7 @@ class CarLearner(contextlib.ExitStack):
         policy = NfqPolicy.load(saved[-1]) if saved else untrained(setting, seed)
         if not saved:
             policy.save(rundir.net_file(place, 0))
-        self.trainer = Trainer(nets=policy.nets or () if net else ())
+        self.trainer = trainer or Trainer(nets=policy.nets or () if net else ())
         self.callback(self.trainer.close)
         self.learner_state = LearnerState(
             setting=setting,
