@@ -329,7 +329,7 @@ def _command(config: CarConfig) -> Iterator[str]:
     for side in (-largest, largest):
         try:
             writer.write(math.trunc(side / writer.quantum) * writer.quantum, enable=True)
-        except ImportError:
+        except ImportError:  # a library is not installed: no mistake of the file
             raise
         except Exception as error:  # whatever the DBC library says of a value that does not fit
             low, high = signal_range(signal)

@@ -177,7 +177,7 @@ class DelayCompensator(SteeringAnswer):
         return (*(u.doe,) * (_REMEMBERED + 1), e_before, c_before, w, u.r_e, v, kappa)
 
     def _course(self, u: Any, v: Any, w: Any) -> Any:
-        """c as measured, or of a slow car by its w: the sensors' psi_e is the more exact."""
+        """c as measured; of a slow car by its filtered w, which takes e_dot's noise away."""
         return m.where(self.fast > 0.5, u.e_dot / v, w + u.psi_e)
 
     def _filtered(self, x: State, u: Any, v: Any) -> tuple[Any, ...]:
