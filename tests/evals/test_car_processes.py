@@ -182,9 +182,10 @@ def test_a_recording_that_is_being_written_is_refused(tmp_path: Path) -> None:
                 second = programs.python(*words, folder=tmp_path)
                 assert second.returncode == 2
                 assert "drive.mcap: it or its log, drive.log, exists already" in second.stderr
-        finally:
             first.terminate()
-            first.wait(60.0)
+            assert first.wait(60.0) is not None
+        finally:
+            first.kill()
     (tmp_path / "other.log").touch()
     assert processes.last_line(str(tmp_path / "other.log")).startswith("it said nothing")
 

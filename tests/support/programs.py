@@ -2,6 +2,7 @@
 
 import atexit
 import contextlib
+import gc
 import importlib
 import logging
 import os
@@ -110,6 +111,8 @@ def _become(
         warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]
         sys.path[:0] = [str(folder), *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
         subprocess.Popen = Forked  # type: ignore[misc]
+        gc.callbacks.clear()
+        gc.freeze()
         forking()
         if drawing := sys.modules.get("matplotlib.layout_engine"):  # a third of a short command's time
             drawing.ConstrainedLayoutEngine.execute = lambda *_: None  # type: ignore[attr-defined]
@@ -181,6 +184,10 @@ def _fork(
         if prepare:
             prepare()
         subprocess.Popen = Forked  # type: ignore[misc]
+        # A loop collects garbage in its pauses. Here that went through all that the tests have imported, and ended in a
+        # callback of hypothesis, which swallowed the KeyboardInterrupt of a signal that had come meanwhile.
+        gc.callbacks.clear()
+        gc.freeze()
         logging.root.handlers.clear()  # a test's
         tracker = resource_tracker._resource_tracker  # it was among those, if this process had used it
         tracker._fd = tracker._pid = None  # type: ignore[attr-defined]
