@@ -64,6 +64,15 @@ def test_the_forecast_is_where_the_car_will_be(kind: DelayCompensator, samples: 
         x = car.remember(x, u)
 
 
+def test_a_filtered_motion_begins_as_it_is_measured() -> None:
+    """In a steady bend, in which the sample before is known: the car has come from there."""
+    car, v, w = replace(FAST, samples=0, trust=0.3, trust_course=0.1, straight=0.0), 15.0, 0.02
+    doe = car.back * w * (1.0 + car.loss * v * v) / (car.now + car.before + car.earlier)
+    u = SimpleNamespace(e=0.2, e_dot=v * 0.03, v=v, psi_e=0.0, r_e=v * w / LENGTH, doe=doe, preview=(0.0,) * PREVIEW)
+    e, e_dot, _, psi_e, r_e, _ = car.ahead(car.at_first(u), u)
+    assert (e, e_dot, psi_e, r_e) == pytest.approx((u.e, u.e_dot, 0.03 - w, u.r_e), abs=1e-12)
+
+
 def test_a_step_overshoots_comes_back_and_takes_its_time() -> None:
     car, v = replace(CAR, lead=0.5, fade=0.1), 2.0
     u, slow, seen = 0.0, 0.0, []
