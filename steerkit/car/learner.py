@@ -49,8 +49,8 @@ class CarLearner(contextlib.ExitStack):
     """A learning run on a real car, behind `link`: `run` it, in a `with`.
 
     setting: how. place: run directory; a run there is continued with all its transitions and its newest net. config,
-    path: the car and its course. seed: of the nets. recovery: a controller's name. clock: as of `car_loop`. trainer:
-    default: a process of its own.
+    path: the car and its course. seed: of the nets. recovery: the name of the recovery controller. clock: see
+    `steerkit.car.loop.car_loop`. trainer: what trains the nets (default: a process of its own).
 
     While the car is ENGAGED, every sample is recorded, and whether the policy steered. When the recovery controller has
     to take it (the car leaves the path; the policy answers NaN, or raises), or `retrain_every_m` are driven, a process

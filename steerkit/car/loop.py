@@ -369,7 +369,8 @@ def drive(
 ) -> realtime.Run:
     """Run a controller at 20 Hz on the car behind `link`, engaged or not, for `duration` [s].
 
-    Missed deadlines go to the car server with the next request; if they repeat, it disengages. CarLost: it has ended.
+    Missed deadlines go to the car server with the next request; it disengages when they repeat. Raises CarLost when the
+    car server ends.
     """
     link.wait(timeout=10.0)
     loop = car_loop(config, path, link, controller.block, doe=controller.element, recovery=recovery)

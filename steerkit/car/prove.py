@@ -347,7 +347,8 @@ def runs_in(recording: str | FilePath | recordings.Recorded) -> list[dict[str, A
     """The runs in a recording, also in one that is cut short: number, side, begin, end [s], cause, v, a_y, manoeuvre.
 
     recording: its file, or what was read of it. Times are those of its `t`; cause is "" for a valid run. One whose end
-    is not recorded ends where the car let go, with that cause, or with the recording. Raises ValueError for none.
+    is not recorded ends where the car let go, with that cause, or with the recording. Raises ValueError for
+    what is no recording.
     """
     recorded = recording if isinstance(recording, recordings.Recorded) else recordings.read(recording)
     runs = list[dict[str, Any]]()

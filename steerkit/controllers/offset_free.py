@@ -117,7 +117,8 @@ class CommandCompensation(Wrapper):
         delta_sw = (delta_sw of `block` - offset)/gain
 
     makes a steering that turns the wheel to gain*command + offset reach the angle that `block` asks for. Ports, units,
-    state and sample time are those of `block`, which goes on from its own angle. It sees the measured angle as it is.
+    state and sample time are those of `block`, which goes on from its own angle. It sees the measured angle as it is,
+    with offset and gain in it.
 
     Raises ValueError for a gain that is not positive and for a block without an output delta_sw.
     """

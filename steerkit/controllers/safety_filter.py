@@ -158,7 +158,8 @@ class SafetyFilter(Block):
         widened = sqrt(min_k J_k(1)/allowed),   allowed = <(yaw_doubt + ratio_doubt |r - r_slow|)^2>
 
     with widened within 1 and `widest`; it falls within 15 s. Where late moves, the plan is dropped: it was safe for
-    another car. Until a car has been steered for about half a second nothing is proven. Early commands are not noticed.
+    another car. Until a car has been steered for about half a second nothing is proven. Commands that arrive sooner
+    than believed are not noticed.
 
     Guarantee: while the true car stays between the pushed ones, one that got a command with reach <= bound has
     |e| <= bound for `horizon` from then on, since after it either another such command is sent, or that one is held

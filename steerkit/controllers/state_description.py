@@ -41,7 +41,8 @@ class StateDescription:
     action_scale: float | None = number(None, "rad", above=0.0)
     """Action [rad] that becomes 1; None: the largest |action| of the set."""
     scaled_from: float = number(math.inf, "m/s", above=0.0)
-    """Speed above which an action turns the wheel the less, and angles count the more, with v [m/s]: see `scaled`."""
+    """Speed above which the same action turns the wheel the less, and angles count the more, the faster the car is
+    [m/s]: see `scaled`."""
 
     def __post_init__(self) -> None:
         check_numbers(self, "StateDescription")

@@ -206,8 +206,8 @@ def simulate(
     Raises ValueError for a bad argument; NonFiniteError, with the log so far, when a recorded signal became NaN or
     infinite, unless `allow_nonfinite`. An exception inside a block is raised with a note saying which tick it was.
     """
-    forever = np.isfinite(duration) and duration > 0.0
-    require(forever, "simulate", f"duration = {duration} s, expected a finite number > 0")
+    finite = np.isfinite(duration) and duration > 0.0
+    require(finite, "simulate", f"duration = {duration} s, expected a finite number > 0")
     require(every >= 1, "simulate", f"every = {every}, expected a whole number >= 1")
     one = state is None or batch is None
     require(one, "simulate", "give state or batch, not both; the state knows its number of cars")

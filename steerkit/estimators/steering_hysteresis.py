@@ -87,7 +87,8 @@ class HysteresisBank(Bank):
     within a tenth of the half width or ends below 0.25 degrees, and half of the response's variance is explained.
 
     Inputs: angle [rad]; delay, lag, lag_deviation [s]; v [m/s]; active [1]. State: filters, the angles on their way,
-    the operators, the cars behind them, moments. Source: as for `SteeringColumn` and `DelayBank`.
+    the operators, the cars behind them, moments. Source: as for `SteeringColumn` (Nordin, Gutman 2002; Visintin 1994)
+    and `DelayBank`.
     """
 
     angle = In("rad", direct=False)

@@ -374,7 +374,8 @@ class LearnerState:
     def arrives(self, late: float, believed: float) -> bool:
         """The safety filter found that commands arrive `late` [s] later than `believed` [s]: a change of the policy?
 
-        Where it is not the policy's, that forecasts over it at once, and the next updates are of the car since then.
+        Where that is another dead time than the policy's, it forecasts over that at once, and the next updates are of
+        the car since then.
         """
         counts, forecast, n = self.counts, self.policy.forecast, len(self.transitions)
         found, counts.late = late != counts.late, late

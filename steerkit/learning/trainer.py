@@ -70,7 +70,8 @@ class SimulatedTrainer:
     """Trains in `submit`, and hands the nets out when the training would have been done on a car.
 
     seconds: driving time charged for one update [s]. A job begins when the one before it is done. nets: what the first
-    job starts from. pending: a checkpoint's unfinished job, to go on with. `submit` raises an error in training.
+    job starts from. pending: a checkpoint's unfinished job, to go on with. An error in training is raised by
+    `submit`.
     """
 
     def __init__(self, *, seconds: float = 1.0, nets: Nets = (), pending: Pending | None = None):

@@ -21,7 +21,8 @@ _PANELS = 4
 def plot_log(log: Log, signals: Sequence[Signal] | None = None) -> Figure:
     """Signals of a log over t, one panel a unit, all panels over the same t; returns the figure.
 
-    signals: names or ports (default: all), else KeyError. A vector gives a line an entry, a batch a thin line a car.
+    signals: names or ports (default: all). A vector gives a line an entry, a batch a thin line a car. Raises KeyError
+    for a signal that was not recorded.
     """
     names = [_name(log, signal) for signal in (signals or [name for name in log if log[name].size])]
     by_unit: dict[str, list[str]] = {}

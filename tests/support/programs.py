@@ -110,9 +110,7 @@ def _become(
         warnings.filterwarnings("ignore", category=DeprecationWarning)
         warnings.showwarning = warnings._showwarning_orig  # type: ignore[attr-defined]
         sys.path[:0] = [str(folder), *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
-        subprocess.Popen = Forked  # type: ignore[misc]
-        gc.callbacks.clear()
-        gc.freeze()
+        _alone()
         forking()
         if drawing := sys.modules.get("matplotlib.layout_engine"):  # a third of a short command's time
             drawing.ConstrainedLayoutEngine.execute = lambda *_: None  # type: ignore[attr-defined]
@@ -183,11 +181,7 @@ def _fork(
             os.environ.update(given)
         if prepare:
             prepare()
-        subprocess.Popen = Forked  # type: ignore[misc]
-        # A loop collects garbage in its pauses. Here that went through all that the tests have imported, and ended in a
-        # callback of hypothesis, which swallowed the KeyboardInterrupt of a signal that had come meanwhile.
-        gc.callbacks.clear()
-        gc.freeze()
+        _alone()
         logging.root.handlers.clear()  # a test's
         tracker = resource_tracker._resource_tracker  # it was among those, if this process had used it
         tracker._fd = tracker._pid = None  # type: ignore[attr-defined]
@@ -205,6 +199,17 @@ def _fork(
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code & 0xFF)
+
+
+def _alone() -> None:
+    """In a fork: what it starts are forks too, and its parent's garbage is none of its own.
+
+    A loop collects garbage in its pauses. That went through all that the tests have imported, and ended in a callback
+    of hypothesis, in which the KeyboardInterrupt of a signal that has come meanwhile is swallowed.
+    """
+    subprocess.Popen = Forked  # type: ignore[misc]
+    gc.callbacks.clear()
+    gc.freeze()
 
 
 def forking(set_to: Callable[[Any, str, Any], None] = setattr) -> None:
@@ -226,12 +231,9 @@ def forking(set_to: Callable[[Any, str, Any], None] = setattr) -> None:
         executed = loky.fork_exec
 
         def execute(args: Sequence[str], fds: Collection[int], env: Mapping[str, str] | None = None) -> int:
-            ours = args[2].endswith("popen_loky_posix")
-            return (
-                _fork(args[1:], keep=fds, environment={**os.environ, **(env or {})})
-                if ours
-                else executed(args, fds, env)
-            )
+            if not args[2].endswith("popen_loky_posix"):
+                return executed(args, fds, env)
+            return _fork(args[1:], keep=fds, environment={**os.environ, **(env or {})})
 
         set_to(loky, "fork_exec", execute)
 

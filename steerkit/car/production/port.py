@@ -25,7 +25,8 @@ SILENCE = 0.1
 FROZEN = 0.15
 """A moving car all of whose frames are the same for so long does not say how it moves [s]."""
 RELEASED = 0.1
-"""Rest of steering after a frame that the safety code rejected [s]; then both begin anew from the wheel as it is."""
+"""After a frame that the safety code rejected, steering rests so long [s]: port and safety code begin anew from the
+wheel as it is."""
 REJECTIONS = 3
 """So many of them within a second are a fault."""
 OTHER = 1.0

@@ -279,8 +279,6 @@ def unexplained(record: Transitions, longest: int, *, fast: bool = False) -> lis
     that at once. Gains of both signs foresee a calmly turned wheel from its past: then a dead time that is samples too
     long, or too short, explains w as well. Source: Ljung 1999, section 4.2 (ARX); Lawson, Hanson 1974, chapter 23.
     """
-    from scipy.optimize import lsq_linear  # loads as slowly as all else that a drive needs
-
     w, episode = record.s[:, E_DOT] / speed(record.s) - record.s[:, PSI_E], np.cumsum(~follow(record))
     for most in range(longest, -1, -1):
         row = np.arange(most + 2, len(record) - 1)
@@ -294,6 +292,8 @@ def unexplained(record: Transitions, longest: int, *, fast: bool = False) -> lis
         columns = np.column_stack((w[row], doe[row - n], doe[row - n - 1], doe[row - n - 2], np.ones(len(row))))
         coefficients, *_ = np.linalg.lstsq(columns, w[row + 1], rcond=None)
         if fast and (coefficients[1:4] < 0.0).any():
+            from scipy.optimize import lsq_linear  # as `refined` does
+
             coefficients = lsq_linear(columns, w[row + 1], (_LEAST, np.inf), method="bvls").x
         errors.append(float(np.sqrt(np.mean((columns @ coefficients - w[row + 1]) ** 2))))
     return errors

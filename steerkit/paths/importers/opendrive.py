@@ -400,7 +400,8 @@ def spiral(length: float, k0: float, k1: float, d: Array) -> tuple[Array, Array,
 
         heading = k0 d + (k1 - k0) d^2/(2 length),  u = integral cos(heading),  v = integral sin(heading),
 
-    by Gauss-Legendre on panels that turn by up to a radian: to rounding, also for nearly constant curvature.
+    by Gauss-Legendre on panels that turn by a radian at most: to rounding, also for nearly constant curvature, where
+    Fresnel integrals cancel.
     """
     rate = (k1 - k0) / length if length > 0.0 else 0.0
 
