@@ -3,8 +3,6 @@
 What is slow to load is imported by the command that needs it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -1,7 +1,5 @@
 """Who is compared: analytic controllers, learned ones and outside peers, by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec

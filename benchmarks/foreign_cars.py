@@ -1,7 +1,5 @@
 """Cars that no one here wrote, as scenarios: what drives them, how fast, and what controllers are told."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache

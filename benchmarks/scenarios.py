@@ -1,7 +1,5 @@
 """What the suites drive: scenarios judged at each controller's own point, and what a compiled drive leaves open."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import asdict, replace
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """Figures over seeds: bootstrap intervals and paired tests between controllers that met the same seeds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

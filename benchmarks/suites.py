@@ -1,7 +1,5 @@
 """The suites: which controllers drive which scenarios, and what has to be learned before."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 They are judged by the simulated truth. Part of the studies `calibration` and `vehicle_state`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

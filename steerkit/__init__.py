@@ -3,8 +3,6 @@
 The public names stand in `__init__.pyi`; each is loaded when it is first used, so that `import steerkit` stays fast.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import lazy_loader

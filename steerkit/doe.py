@@ -5,8 +5,6 @@ every DOE shows it as `state`. At a hand-over it must continue from the angle re
 `applied`; then the first step after any hand-over is one DOE step and no jump.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 

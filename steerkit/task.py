@@ -3,8 +3,6 @@
 Source: Riedmiller, Montemerlo, Dahlkamp 2007, but for `A_Y_MAX` and `JERK_MAX`.
 """
 
-from __future__ import annotations
-
 from steerkit.diagram.units import radians_of
 
 TRIP = 0.5

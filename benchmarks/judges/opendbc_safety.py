@@ -1,7 +1,5 @@
 """opendbc's safety code, the C that a panda runs between computer and car, as the judge of every frame of a drive."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 from importlib.metadata import version

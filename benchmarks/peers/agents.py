@@ -1,7 +1,5 @@
 """Peers that nobody here wrote, in the same drives: Stable-Baselines3's agents and do-mpc's MPC."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

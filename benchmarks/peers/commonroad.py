@@ -1,7 +1,5 @@
 """CommonRoad's multi-body car as a plant."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -3,8 +3,6 @@
 Written here after the baselines that the challenge describes, none of whose code is used.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 

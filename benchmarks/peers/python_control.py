@@ -4,8 +4,6 @@ All three run the blocks' own functions on floats, so that only the machinery be
 system and its start state.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import control

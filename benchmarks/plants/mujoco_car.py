@@ -1,7 +1,5 @@
 """A car on four suspended wheels in MuJoCo, whose mechanics no one here wrote (extra `peers`)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -54,7 +52,7 @@ class MujocoCar(IntegratedCar):
         require(self.dt / self.substeps <= 2.001e-3, "MujocoCar", f"substeps = {self.substeps}, of 2 ms at most each")
 
     @cached_property
-    def _mujoco(self) -> _Calculator:
+    def _mujoco(self) -> "_Calculator":
         return _Calculator(self.vehicle, self.dt / self.substeps)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:

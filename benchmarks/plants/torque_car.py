@@ -1,7 +1,5 @@
 """A car steered by torque, made from what a plant learned from real drives of a production car answered."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Where controllers fail: maps over two conditions, lines over one, found in the scenarios that were driven."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The report's pictures: matplotlib figures as SVG that takes its colours and letters from the page around it."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import math

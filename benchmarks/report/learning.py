@@ -1,7 +1,5 @@
 """Learning in the report: curves over driving time and over trainings, and what it cost until it worked."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The verdict at a glance: each learned controller against each analytic one, by each metric, and one sentence."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

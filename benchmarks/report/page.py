@@ -6,8 +6,6 @@ values beside ours, the protocol and where the numbers came from.
     python -m benchmarks report runs/bench --out report.html
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """What the report says of controllers: leaderboards, and comparisons seed for seed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

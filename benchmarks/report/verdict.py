@@ -1,7 +1,5 @@
 """A short honest text from results: where learned beats analytic, where it does not, and by how much."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

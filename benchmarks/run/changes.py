@@ -3,8 +3,6 @@
 Part of the study `foreign`. Learner, recovery and filter are told of the car before the change, and of nothing after.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence

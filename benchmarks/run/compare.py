@@ -1,7 +1,5 @@
 """What changed between two results: provenance, cases that came or went, and metrics, case by case."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """One test drive of one controller through one scenario, compiled where its blocks allow, and what it came to."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from functools import lru_cache
@@ -63,7 +61,7 @@ class Policy:
         return make_element("integrator", vehicle) if agent else setting(self.setting).element(vehicle)
 
     @classmethod
-    def load(cls, file: FilePath, setting: str) -> Policy:
+    def load(cls, file: FilePath, setting: str) -> "Policy":
         """What a training has left in `file`."""
         kind: Any = PolicyBlock if setting in SETTINGS else NfqPolicy
         return cls(kind.load(file), setting)

@@ -8,8 +8,6 @@ and sensor noise are unknown to all. A ratio is that of the learner's final net 
 RMS e.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass

@@ -3,8 +3,6 @@
 Part of the study `foreign`. Test drives are a whole round of the course, with another seed than the learner's.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Golden numbers of the small suite `golden`: what they are, what differs, how to renew them."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Results of a study's jobs, kept in a file as they come, so that a study that was stopped goes on."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, is_dataclass

@@ -1,7 +1,5 @@
 """Drives of learned policies in a loop that is compiled once for all of a kind."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Drives of production cars in one process: controller, car server's core, port, opendbc's safety code, car."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Where results come from: versions, commit, platform, sources, and the protocol that was followed."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

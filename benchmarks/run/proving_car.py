@@ -5,8 +5,6 @@ and kills a process with kill -9 in the middle of each manoeuvre. Drives and abo
 server's core, gate and port (judged by opendbc's safety code in C); the kills are among real processes in real time.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

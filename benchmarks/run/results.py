@@ -11,8 +11,6 @@ CASE is `suite--scenario--controller--sN`. A table's columns: those of `Case`, o
 field of the scenario (`scenario.steering.delay`).
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -139,7 +137,7 @@ class Results:
         """Every scenario's fields by its name."""
         return self.provenance["scenarios"]
 
-    def table(self) -> pd.DataFrame:
+    def table(self) -> "pd.DataFrame":
         """One row a case; columns of `Case`, `metric.NAME` and `scenario.FIELD`."""
         return _table(self.cases, self.protocol)
 
@@ -328,7 +326,7 @@ def _case_of(row: Mapping[Any, Any]) -> Case:
     return Case(**{k: v for k, v in row.items() if k in known}, metrics=metrics)
 
 
-def _table(cases: tuple[Case, ...], protocol: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+def _table(cases: tuple[Case, ...], protocol: Mapping[str, Mapping[str, Any]]) -> "pd.DataFrame":
     import pandas as pd
 
     rows = []

@@ -1,7 +1,5 @@
 """Carries out the cases of suites, on all cores or on a cluster, and keeps each as soon as it has finished."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait

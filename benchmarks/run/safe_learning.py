@@ -4,8 +4,6 @@ Part of the study `safety`. A departure is a run in which |e| exceeds 0.5 m afte
 counted in runs with the filter; those without it are for comparison, and a few seeds of each car will do.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace

@@ -3,8 +3,6 @@
 Machines of a cluster compare themselves by it: it loads fast, and says the same of a checkout and an installed wheel.
 """
 
-from __future__ import annotations
-
 import hashlib
 import platform
 from functools import lru_cache

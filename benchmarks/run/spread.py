@@ -12,8 +12,6 @@ cannot import this package would take the work and never answer; a worker with o
 numbers. They are asked with built-in functions only, so that they can answer whatever is installed there.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import math
@@ -98,7 +96,7 @@ def where(options: argparse.Namespace) -> Where:
 
 
 @contextmanager
-def computing(where: Where) -> Iterator[Workers]:
+def computing(where: Where) -> "Iterator[Workers]":
     """The workers, while they are needed. Raises ValueError for a cluster that cannot do it: see `dask_client`."""
     if where.address is None:
         yield Workers(where.processes)

@@ -1,7 +1,5 @@
 """Trainings of the learned controllers: each a case of its own, whose last net all drives of its seed share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """What studies and suites judge of learning: a whole run with every net that took the wheel, and their test drives."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Sequence

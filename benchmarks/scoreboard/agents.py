@@ -22,8 +22,6 @@ driving; the best is what runs. NFQ has its defaults, which were found on this c
     python -m benchmarks study scoreboard --parts agents --keep FILE [--agents AGENT ...] [--seeds N] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json
@@ -291,7 +289,7 @@ def _of_others(job: Job) -> Outcome:
     return tests.outcome(computing=train.spent + dream.spent, driven=driven, failures=course.failures)
 
 
-def _made(job: Job, how: dict[str, Any]) -> tuple[Any, Any, _Imaginer | None]:
+def _made(job: Job, how: dict[str, Any]) -> "tuple[Any, Any, _Imaginer | None]":
     """The model of a job, its course, and who imagines for it."""
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
     import gymnasium

@@ -20,8 +20,6 @@ Source: Dikici et al. 2024, "Learning-Based On-Track System Identification for S
 Minute" (a network's corrections; 3.3 times below nonlinear least squares, one step ahead).
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable, Iterator
@@ -129,7 +127,7 @@ class Driven:
     r: Array
     delta: Array
 
-    def part(self, begin: float, end: float) -> Driven:
+    def part(self, begin: float, end: float) -> "Driven":
         """From one time to the other [s]."""
         rows = slice(round(begin / DT), round(end / DT))
         return Driven(*(a[rows] for a in (self.v_x, self.v_y, self.r, self.delta)))

@@ -17,8 +17,6 @@ drives on those other seeds; `sac`, Stable-Baselines3's SAC on `steerkit/Lateral
     python -m benchmarks study scoreboard --parts lateral [--targets N] [--lateral-minutes M] [--quick] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import replace

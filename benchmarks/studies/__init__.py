@@ -9,8 +9,6 @@ and, if it compares what may differ, `objection(figures) -> str`, which says why
 `--quick` is a form that takes seconds: it shows that a study runs, not what it measures.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import json

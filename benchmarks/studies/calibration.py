@@ -18,8 +18,6 @@ car, from the first second on.
     python -m benchmarks study calibration [--drives 200] [--cars 40] [--parts drives ...] [--quick] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 from collections.abc import Callable, Mapping

@@ -9,8 +9,6 @@ The operator engages again after whatever ends a drive. Dead time is that from t
 from: what the gate and the 20 ms of the bus add to it is measured on the bus and part of the truth.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace

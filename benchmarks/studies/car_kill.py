@@ -9,8 +9,6 @@ both are started again, the recording is opened and replayed, the transition sto
 committed before the kill, and the run goes on from it.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

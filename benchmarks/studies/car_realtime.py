@@ -10,8 +10,6 @@ and through the controllers, and compares every frame and every request bit for 
 nothing but compute run beside it.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

@@ -40,8 +40,6 @@ goes on after a stop.
     python -m benchmarks study foreign [--parts PART ...] [--cars CAR ...] [--seeds N] [--keep FILE] [--quick] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import time

@@ -13,8 +13,6 @@ lap, the noise `hard` and not late, as the log's sensors are a part of that car.
     python -m benchmarks study from_logs [--logs 20] [--first 0] [--seconds 120] [--quick] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import tempfile

@@ -9,8 +9,6 @@ the wall, with a thread a core and 1,024 cars driven well: Gymnasium's vector as
 copies, the batch in place, and Gymnasium's own SyncVectorEnv of as many.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import time

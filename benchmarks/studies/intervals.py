@@ -15,8 +15,6 @@ and at their end.
     python -m benchmarks study intervals [--drives 200] [--parts made shipped online] [--quick] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from itertools import combinations, pairwise

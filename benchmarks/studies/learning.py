@@ -13,8 +13,6 @@ at low or at high speed, one steered by torque, CommonRoad's multi-body car (`be
 dask --address tcp://HOST:PORT the workers of a cluster do it; the figures are the same.
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import asdict, dataclass, replace
 from typing import Any

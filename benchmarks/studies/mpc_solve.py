@@ -13,8 +13,6 @@ the block has just filled in, in place; `..._x_raw_qp` the median of the block's
 a sample takes beyond it are prediction over the delay, path ahead, linearisation, check, and Python.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -8,8 +8,6 @@ transitions themselves included, over that of the transitions (NumPy's arrays; t
     python -m benchmarks study nfq_iteration [--quick] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import platform

@@ -18,8 +18,6 @@
     [--seeds N] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import tempfile

@@ -11,8 +11,6 @@ re-implementation of openpilot's report, from what its documentation says. `logs
 tell. `car`: on simulated cars behind the bus, see `benchmarks.run.proving_car`.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import time

@@ -26,8 +26,6 @@ Learners run on the workers of a cluster with --backend dask --address tcp://HOS
 learner is kept as it ends; the same command goes on after a stop, or with more seeds.
 """
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import math

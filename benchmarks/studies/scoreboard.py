@@ -6,8 +6,6 @@ Parts (`benchmarks.scoreboard`): what each measures stands in its docstring, who
 table.
 """
 
-from __future__ import annotations
-
 import argparse
 from importlib import import_module
 from pathlib import Path

@@ -9,8 +9,6 @@ The nonlinear car, in steps of 10 ms, drives the 795 m course at 6 m/s under Sta
 `compile_seconds` what the first call of a loop that was never compiled takes longer.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import statistics

@@ -11,8 +11,6 @@ alike. The ratios of the JSON are to python-control with the same diagram: a sys
 each wire. The table and `against` have them also to python-control with one function that leaves it no wiring.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import statistics

@@ -11,8 +11,6 @@ Beside it: the same for Stanley without prediction at delays 0, 0.1 and 0.2 s, b
     python -m benchmarks study tune_stanley [--quick] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 from collections.abc import Callable, Mapping

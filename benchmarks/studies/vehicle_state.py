@@ -18,8 +18,6 @@
         [--parts closed_loop wrong_belief ...] [--quick] [--json]
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import asdict
 from typing import Any

@@ -1,7 +1,5 @@
 """Monotonic time for everything that runs in real time: the same clock in all processes of a machine."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The terminal that programs of steerkit write to."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What is wrong, said so that it teaches: where, what, the unit, what was expected, the valid choices."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import importlib

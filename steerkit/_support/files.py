@@ -1,7 +1,5 @@
 """Files that are written whole or not at all, and arrays in NumPy's .npz files; for all that outlives the program."""
 
-from __future__ import annotations
-
 import codecs
 import errno
 import io

@@ -1,7 +1,5 @@
 """C source to a loaded library, by way of gcc and a cache on disk that all processes share."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import hashlib

@@ -4,8 +4,6 @@ Only what the user names is run, in a call or on the command line. A file is dat
 that the user has not named too, and nothing that has changed since the file was written.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import importlib.util

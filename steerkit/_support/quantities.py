@@ -1,7 +1,5 @@
 """The quantities of a drive: their units as files spell them, and the names that columns of them have."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

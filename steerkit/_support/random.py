@@ -10,8 +10,6 @@ Its six state numbers and all products are whole numbers below 2^53, exact in do
 from the next whole number, more than rounding can bridge; so every backend draws the same numbers, to the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Tables of numbers in text: what parts their columns, where their names stand, what a cell holds."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import re

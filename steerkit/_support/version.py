@@ -1,7 +1,5 @@
 """The version of the installed package, looked up when it is asked for: that takes longer than importing steerkit."""
 
-from __future__ import annotations
-
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as _of
 

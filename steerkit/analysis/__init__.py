@@ -7,8 +7,6 @@ A loop with several sample times is taken over its whole period, after which all
 of the result is one period. That is exact and no approximation by the slowest block (lifting: Meyer, Burrus 1975).
 """
 
-from __future__ import annotations
-
 from steerkit.analysis.linear import Margins as Margins
 from steerkit.analysis.linear import NotTimeInvariantError as NotTimeInvariantError
 from steerkit.analysis.linear import Point as Point

@@ -1,7 +1,5 @@
 """Loops as linear systems: linearised, broken open, and their margins."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -33,12 +31,12 @@ class UnstableError(ValueError):
 
 
 def linearise(
-    loop: Loop,
-    at: LoopState | None = None,
+    loop: "Loop",
+    at: "LoopState | None" = None,
     *,
-    inputs: Sequence[Signal] | None = None,
-    outputs: Sequence[Signal] | None = None,
-    cut: Sequence[Signal] = (),
+    inputs: "Sequence[Signal] | None" = None,
+    outputs: "Sequence[Signal] | None" = None,
+    cut: "Sequence[Signal]" = (),
     invariant: bool = True,
 ) -> Any:
     """The loop about a run as a discrete `control.StateSpace`, one step a period of the loop.
@@ -91,7 +89,7 @@ def linearise(
     return control.ss(*parts, loop.dt * loop.period, inputs=column_names, outputs=row_names, states=labels)
 
 
-def break_at(loop: Loop, signal: Signal, *, at: LoopState | None = None) -> Any:
+def break_at(loop: "Loop", signal: "Signal", *, at: "LoopState | None" = None) -> Any:
     """The open loop L at a signal, as a discrete `control.StateSpace` in the negative-feedback convention.
 
     The wire is cut behind the signal's block; L = -(what the block gives)/(what its users get), so that the closed
@@ -179,7 +177,7 @@ class Point:
     poles: Array
 
 
-def over(make: Callable[[float], Loop], values: Sequence[float], signal: str) -> list[Point]:
+def over(make: "Callable[[float], Loop]", values: Sequence[float], signal: str) -> list[Point]:
     """Margins and poles of `make(value)`, broken at a signal, for each value: a speed, a delay, a stiffness."""
     points = []
     for value in values:

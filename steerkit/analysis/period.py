@@ -1,7 +1,5 @@
 """One period of a loop as a function, with taps in its wires: what linearisation and export stand on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -53,7 +51,7 @@ class Period:
     of a period, where all blocks sample together, so that no held output matters and block states are all there is.
     """
 
-    def __init__(self, loop: Loop, taps: Mapping[str, bool], outputs: Sequence[str], at: LoopState):
+    def __init__(self, loop: "Loop", taps: Mapping[str, bool], outputs: Sequence[str], at: "LoopState"):
         if at.k % loop.period:
             raise ValueError(f"analysis: state at tick {at.k}, expected a multiple of the loop's period {loop.period}")
         self._loop, names = _tapped(loop, taps)
@@ -96,7 +94,7 @@ class Period:
         return slope[:n, :n], slope[:n, n:], slope[n:, :n], slope[n:, n:]
 
 
-def signal_name(loop: Loop, signal: Signal) -> str:
+def signal_name(loop: "Loop", signal: "Signal") -> str:
     """The name of a scalar signal; raises KeyError for an unknown one, ValueError for a vector."""
     name = signal if isinstance(signal, str) else loop.port_name(signal)
     loop.locate(name)
@@ -105,7 +103,7 @@ def signal_name(loop: Loop, signal: Signal) -> str:
     return name
 
 
-def _tapped(loop: Loop, taps: Mapping[str, bool]) -> tuple[Loop, list[str]]:
+def _tapped(loop: "Loop", taps: Mapping[str, bool]) -> "tuple[Loop, list[str]]":
     """The loop with a tap behind each of these signals, and the taps' names."""
     parts: dict[str, tuple[str, Block]] = {}
     for signal, cut in taps.items():

@@ -1,7 +1,5 @@
 """Pictures of linear analysis: Bode plots with their margins, margins over a speed, step responses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -17,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @styled
-def plot_bode(loops: Mapping[str, Any], *, title: str = "") -> Figure:
+def plot_bode(loops: Mapping[str, Any], *, title: str = "") -> "Figure":
     """Gain and phase of open loops over frequency, by name; dots where |L| = 1, margins in the legend.
 
     loops: single-input, single-output systems, as `break_at` gives them. Raises ValueError as `margins` does, but for
@@ -52,7 +50,7 @@ def plot_bode(loops: Mapping[str, Any], *, title: str = "") -> Figure:
 
 
 @styled
-def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]", title: str = "") -> Figure:
+def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]", title: str = "") -> "Figure":
     """Phase margin, delay margin and the largest closed-loop pole over what was varied: a line a name.
 
     points: as `over` gives them. Where the closed loop is unstable the margins have a gap and the pole is above 1.
@@ -75,7 +73,7 @@ def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]",
 
 
 @styled
-def plot_steps(systems: Mapping[str, Any], seconds: float, *, ylabel: str = "", title: str = "") -> Figure:
+def plot_steps(systems: Mapping[str, Any], seconds: float, *, ylabel: str = "", title: str = "") -> "Figure":
     """Step responses of single-input, single-output systems over t, by name, such as those of several speeds."""
     figure, (panel,) = new_figure(1, title=title)
     for colour, (name, system) in zip(PALETTE, systems.items()):

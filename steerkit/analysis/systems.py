@@ -1,7 +1,5 @@
 """Systems to and from python-control."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -117,7 +115,7 @@ class FromControl(Block):
 
 
 def to_control(
-    loop: Loop, *, inputs: Sequence[Signal] = (), outputs: Sequence[Signal], at: LoopState | None = None
+    loop: "Loop", *, inputs: "Sequence[Signal]" = (), outputs: "Sequence[Signal]", at: "LoopState | None" = None
 ) -> Any:
     """The whole loop, as it is (not linearised), as a discrete `control.NonlinearIOSystem`, one step a period.
 

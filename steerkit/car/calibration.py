@@ -1,7 +1,5 @@
 """The guided drive that ends in a vehicle file: its waves on top of a controller, and the file of what was found."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The real car as a block, and its line to the car server."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -3,8 +3,6 @@
 It imports nothing of the learner, so that a car server starts soon and depends on little.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import re
@@ -513,7 +511,7 @@ class Reading:
         values: dict[str, Any] = {}
         for key, value in table.items():
             limit = LIMITS[key]
-            value = self.entry("limits", table, key, int if limit.type == "int" else float)
+            value = self.entry("limits", table, key, int if limit.type is int else float)
             _, low, high, _ = limit.metadata["number"]
             values[limit.name] = radians_of(value) if _is_angle(limit) else value
             least, most = (degrees_of(end) if _is_angle(limit) else end for end in (low, high))

@@ -1,7 +1,5 @@
 """The car server without its wires: events in, frames and answers out; equal events give equal frames, bit for bit."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Any, NamedTuple

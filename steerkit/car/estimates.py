@@ -1,7 +1,5 @@
 """The estimators that run in every drive of a car, behind its line to the car server, and their results in words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path as File

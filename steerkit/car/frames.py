@@ -1,7 +1,5 @@
 """Frames and quantities: what a DBC says, in SI, with counters and check sums handled."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

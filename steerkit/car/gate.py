@@ -1,7 +1,5 @@
 """The gate: the last thing a command passes before the bus. One pure function, total over all floats."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

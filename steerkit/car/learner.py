@@ -8,8 +8,6 @@ engage, how far to drive) is not repeatable, so there is no checkpoint of the lo
     nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net); never changed, as recordings refer to them
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -1,7 +1,5 @@
 """The loop on a car: its controllers by name, its wires, who steers in each sample, and a drive at 20 Hz."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

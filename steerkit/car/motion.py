@@ -1,7 +1,5 @@
 """The witness of the pose: does the car move as the kit's own wheel and speed, and the gyro, say?"""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Keys are read, the picture is drawn and the heartbeat is sent by one thread: a t
 gone, stops the heartbeat, and the car is the human's 300 ms later; so does a suspended panel, or one in the background.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -1,7 +1,5 @@
 """Ports of a CAN bus: python-can's, the simulated car's end of one, and the other end of an slcan line."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -4,8 +4,6 @@
 steerkit.car.processes server JSON`, without the command line's packages, and so they are up a third sooner.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import logging

@@ -1,7 +1,5 @@
 """What the car server and its clients say to each other: one packet, one message, in JSON."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """A manoeuvre of vehicle testing on a car: what must hold, the human's consent, its runs, and what ends them."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter, deque

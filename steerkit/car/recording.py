@@ -6,8 +6,6 @@ first two of which hold the description, twice; all are numbered through the fil
 missing. A place that does not fit its sum is left out up to the next that does.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl
@@ -279,7 +277,7 @@ def _facts(config: CarConfig, path: Path) -> dict[str, str]:
     return {"course": protocol.digest(path), "vehicle": json.dumps(asdict(config.vehicle))}
 
 
-def differences(recorded: Recorded, config: CarConfig, path: Path) -> list[str]:
+def differences(recorded: "Recorded", config: CarConfig, path: Path) -> list[str]:
     """What is different now from when the recording was made, so that its replay may be."""
     now = _versions() | _facts(config, path)
     then = recorded.metadata

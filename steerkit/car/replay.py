@@ -5,8 +5,6 @@ SHA-256, from which request on, and whether it was trusted. So a drive whose net
 too, as long as its run directory keeps them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 from collections.abc import Iterator

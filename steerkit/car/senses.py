@@ -1,7 +1,5 @@
 """What the frames say: values, how old they are, and what was wrong with them."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The process that owns the bus: a `Core` between a CAN bus, a Unix socket and a recording."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import logging

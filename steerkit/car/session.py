@@ -1,7 +1,5 @@
 """A session with a car: the processes it needs, its panel, and a drive or a learning run in it."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

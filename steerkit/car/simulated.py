@@ -1,7 +1,5 @@
 """A car to test against: the nonlinear plant behind the same DBC, with its kit, its human, and faults on demand."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections import deque

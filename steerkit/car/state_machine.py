@@ -1,7 +1,5 @@
 """Who steers, as a pure function of the state before, what is known, and the time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

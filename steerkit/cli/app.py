@@ -1,7 +1,5 @@
 """The command line: which commands there are; a command's module is loaded when it is called."""
 
-from __future__ import annotations
-
 import errno
 import functools
 import sys

@@ -1,7 +1,5 @@
 """`steerkit car ...`: what goes with driving a car: check its configuration, simulate one, look into recordings."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -1,7 +1,5 @@
 """The demonstration: three learning runs side by side, a table against Stanley, the paper's four figures."""
 
-from __future__ import annotations
-
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace

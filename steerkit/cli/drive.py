@@ -1,7 +1,5 @@
 """The command `steerkit drive`: any controller drives, in simulation or a car."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The command `steerkit export`: learning runs, logs and cars, for other programs."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import asdict

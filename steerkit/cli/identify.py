@@ -1,7 +1,5 @@
 """`steerkit identify`: from recorded drives to a vehicle file."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

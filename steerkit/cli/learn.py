@@ -1,7 +1,5 @@
 """The commands `steerkit learn` and `steerkit show`: a car learns to steer, in simulation or on a car."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import fields, replace

@@ -1,7 +1,5 @@
 """The commands `steerkit courses` and `steerkit vehicles`: what can be driven, and with what."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """The commands `steerkit log` and `steerkit plot`: what is in a log of any program, and its signals over time."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`steerkit new`: files to begin with."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated

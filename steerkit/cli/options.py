@@ -1,7 +1,5 @@
 """Options that commands share, and what they mean together: a scenario, or a session on a car."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import inspect
@@ -146,10 +144,10 @@ def drive_options(command: Callable[..., None]) -> Callable[..., None]:
     typer reads a command's options off its signature, so the signature is written here: each field stands in it as a
     parameter of its own, in place of the one that gets them all.
     """
-    own = inspect.signature(command, eval_str=True).parameters
+    own = inspect.signature(command).parameters
     (receiver,) = (p.name for p in own.values() if is_dataclass(p.annotation))
     kind = own[receiver].annotation
-    shared = inspect.signature(kind, eval_str=True).parameters
+    shared = inspect.signature(kind).parameters
 
     @functools.wraps(command)
     def wrapper(**values: Any) -> None:

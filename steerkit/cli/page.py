@@ -1,7 +1,5 @@
 """A report of a command as one HTML page: verdict, pictures, and all that it printed; nothing else is loaded."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """The command `steerkit prove`: a manoeuvre in simulation, in a log, or on a car, evaluated and judged."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shlex

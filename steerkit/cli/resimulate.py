@@ -1,7 +1,5 @@
 """`steerkit resimulate`: a recorded drive, driven again by another controller."""
 
-from __future__ import annotations
-
 import json
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """The command `steerkit sweep`: a controller on a course, with every combination of parameter values at once."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

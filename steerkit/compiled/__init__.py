@@ -6,8 +6,6 @@ Python code bit for bit, C to about 1e-13. A block with a `steerkit.diagram.math
 in C, which calls its Python function, and in Python.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +35,7 @@ def compile(
     record: Sequence[Signal] | None = None,
     every: int = 1,
     parameters: Sequence[str] = (),
-) -> Compiled:
+) -> "Compiled":
     """A loop as fast as the machine allows; runs give the same `Log` as `simulate`.
 
     backend: "c" (through gcc, kept in a cache on disk; for one car and for many), "python" (generated floats, quickest

@@ -1,7 +1,5 @@
 """The traced loop as C: for one car in doubles, or for several cars at once in SIMD vectors of doubles."""
 
-from __future__ import annotations
-
 import heapq
 import math
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The traced equations of one tick as a list of instructions that every backend is generated from."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import math
@@ -58,7 +56,7 @@ class Graph:
         self.refused: list[TypeError] = []
         """What was asked of symbols that they cannot answer, though a block may have caught the error."""
 
-    def input(self, slot: int) -> Symbol:
+    def input(self, slot: int) -> "Symbol":
         """The symbol of an input slot."""
         return Symbol(self, self.add("in", slot))
 

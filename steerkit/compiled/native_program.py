@@ -1,7 +1,5 @@
 """The traced loop as a C library, called through ctypes: one car, or many in SIMD lanes and threads."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import functools

@@ -1,7 +1,5 @@
 """The traced loop as straight-line Python on floats: no calls but those of `math`, no tuples, no attributes."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """From a loop to graphs: every tick is run once on symbols, and what it computed is kept."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """A controller that follows the dead time and the steering ratio which estimators find while it drives."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Controllers written for comma's controls challenge: any file with its class `Controller` drives here, as a block."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -52,7 +50,7 @@ class ChallengeController(Block):
     """The object of this drive."""
 
     @classmethod
-    def load(cls, name: str) -> ChallengeController:
+    def load(cls, name: str) -> "ChallengeController":
         """The class that `my_file.py:Controller` names; raises ValueError, in one line, where there is none."""
         kind, where = imported(name, "controller", parent=__name__), f"controller '{name}'"
         fits = isinstance(kind, type) and callable(getattr(kind, "update", None))

@@ -1,7 +1,5 @@
 """A Smith predictor for controllers of a steering with dead time and lag, and Stanley with gains for it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -77,7 +75,7 @@ class DelayPredictor(Block):
             require(self.dt == dt, where, f"dt = {self.dt} s, but {of} has {dt} s")
 
     @classmethod
-    def around(cls, block: Block, vehicle: Vehicle, *, delay: float, lag: float, **steering: Any) -> DelayPredictor:
+    def around(cls, block: Block, vehicle: Vehicle, *, delay: float, lag: float, **steering: Any) -> "DelayPredictor":
         """`block` with a believed steering delay and lag [s], and with geometry, tyres and ratio of a `Vehicle`.
 
         steering: rate_limit [rad/s]; slew [m/s^3] and a_y_limit [m/s^2] of a car that is steered by torque, or None.

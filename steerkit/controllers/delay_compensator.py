@@ -1,7 +1,5 @@
 """The motion of the car when a command arrives: a learned policy's compensation of dead time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """How far off a car will get before its recovery controller can turn it, behind a gate that makes the wheel slow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

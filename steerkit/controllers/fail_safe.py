@@ -1,7 +1,5 @@
 """A guard around a safety filter: where that raises, is late or not finite, the recovery controller steers."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -1,7 +1,5 @@
 """LQR and MPC of lateral acceleration: what a target asks with preview, wherever that leads."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

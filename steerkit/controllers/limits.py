@@ -1,7 +1,5 @@
 """How far and how fast a controller may turn the wheel, and how steeply it may approach its path."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

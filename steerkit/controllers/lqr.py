@@ -1,7 +1,5 @@
 """LQR on the path: one Riccati solution a speed gives the feedback and the use of the curvature ahead."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -204,7 +202,7 @@ class Lqr(LimitedLaw):
         step_of_slew: float = 1.2,
         dt: float = DT,
         **sizes: float,
-    ) -> Lqr:
+    ) -> "Lqr":
         """The regulator for a `Vehicle` whose lateral model is `matrices`, e at the front axle.
 
         delay, lag [s]: of the steering. v_max [m/s]: the fastest speed with gains of its own; it has to be no less

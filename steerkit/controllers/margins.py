@@ -1,7 +1,5 @@
 """Does a steering law hold on a car that is not quite as believed? The damping of its loop at a steady speed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -53,7 +51,7 @@ class SteeredCar:
     gain: float = 1.0
     """Angle reached over angle commanded [1]."""
 
-    def corners(self, doubt: Doubt) -> list[SteeredCar]:
+    def corners(self, doubt: Doubt) -> "list[SteeredCar]":
         """The cars at the corners of a doubt about this one."""
         gains, errors = {doubt.gain, 1.0 / doubt.gain}, {doubt.delay, -doubt.delay}
         return [

@@ -1,7 +1,5 @@
 """Any policy as a controller block: a function of the scaled state, or a net's weights as plain arrays."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -174,7 +172,7 @@ class PolicyBlock(Policy):
         )
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> PolicyBlock:
+    def load(cls, path: str | os.PathLike[str]) -> "PolicyBlock":
         """The block that `save` wrote; raises ValueError for a truncated or foreign file."""
         f = read_arrays(path, "policy block", largest=LARGEST_POLICY)
         try:

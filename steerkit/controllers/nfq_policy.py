@@ -1,7 +1,5 @@
 """The greedy policy of a learned Q-function: inference only, plain arrays, no learning library."""
 
-from __future__ import annotations
-
 import functools
 import math
 import operator
@@ -231,7 +229,7 @@ class NfqPolicy(Policy):
         write_arrays(path, "policy", arrays, durable=durable)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> NfqPolicy:
+    def load(cls, path: str | os.PathLike[str]) -> "NfqPolicy":
         """The policy that `save` wrote; raises ValueError for a truncated or foreign file."""
         f = read_arrays(path, "policy", largest=LARGEST_POLICY)
         try:

@@ -1,7 +1,5 @@
 """Offsets of the steering: one that is known is compensated, any other is found by integral action."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,7 +68,7 @@ class OffsetFree(Wrapper):
     """Fastest command of `block` [rad/s]; z is held from 99 % of it on."""
 
     @classmethod
-    def around(cls, block: Block, vehicle: Vehicle, *, delay: float = 0.0, **settings: float) -> OffsetFree:
+    def around(cls, block: Block, vehicle: Vehicle, *, delay: float = 0.0, **settings: float) -> "OffsetFree":
         """`block` with ratio and stops of a `Vehicle`, for a steering with that delay [s].
 
         settings: any other fields.

@@ -1,7 +1,5 @@
 """Open-loop steering: a prescribed wave of the steering wheel, before and after which a controller steers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

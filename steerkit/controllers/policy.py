@@ -1,7 +1,5 @@
 """The ports of every policy that picks actions for a dynamic output element, and the columns of the learner's state."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

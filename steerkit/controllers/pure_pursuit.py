@@ -1,7 +1,5 @@
 """Pure pursuit, the well-known baseline."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,7 +60,7 @@ class PurePursuit(Block):
         require(self.look_max >= self.look_min, "PurePursuit", f"look_max = {self.look_max} m, expected >= look_min")
 
     @classmethod
-    def of(cls, vehicle: Vehicle, path: Path, *, delay: float = 0.0, dt: float = DT) -> PurePursuit:
+    def of(cls, vehicle: Vehicle, path: Path, *, delay: float = 0.0, dt: float = DT) -> "PurePursuit":
         """The controller with geometry, ratio and stop of a `Vehicle`, on `path`.
 
         delay [s] of the steering: the only remedy is a goal farther away, at the price of cut corners. look_time grows

@@ -1,7 +1,5 @@
 """A safety filter between a controller and the wheel: it changes only commands that could end beside the path."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -98,7 +96,7 @@ class _Now(NamedTuple):
     dead: Scalar
     """Samples until then."""
 
-    def mirrored(self) -> _Now:
+    def mirrored(self) -> "_Now":
         """The mirror image."""
         others = {name: -getattr(self, name) for name in ("wheel_before", "wrong", "r_slow")}
         for name in ("commands", "waiting", "kappa", "ahead", "bends"):
@@ -257,7 +255,7 @@ class SafetyFilter(Block):
         lag: float = 0.1,
         rate_limit: float = Rollout.rate_limit,
         **settings: Any,
-    ) -> SafetyFilter:
+    ) -> "SafetyFilter":
         """For a `Vehicle`, with the believed delay [s], lag [s] and rate limit [rad/s] of its steering.
 
         settings: any other fields.

@@ -1,7 +1,5 @@
 """The complete Stanley controller."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -82,13 +80,13 @@ class Stanley(LimitedLaw):
     """Where e, psi_e and kappa have to be measured: metres ahead of the centre of gravity (the front axle, l_f)."""
 
     @classmethod
-    def of(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:
+    def of(cls, vehicle: Vehicle, *, dt: float = DT) -> "Stanley":
         """The controller with geometry, mass, stiffness, ratio and stop of a `Vehicle`."""
         geometry = cls.geometry(vehicle, "Stanley.of")
         return cls(mass=vehicle.m, c_f=vehicle.c_f, dt=dt, **geometry)
 
     @classmethod
-    def textbook(cls, vehicle: Vehicle, *, dt: float = DT) -> Stanley:
+    def textbook(cls, vehicle: Vehicle, *, dt: float = DT) -> "Stanley":
         """The form of most public code: heading and cross-track terms only, hardly any softening, no limits."""
         bare = dict(k=2.5, k_soft=1e-3, k_d_yaw=0.0, k_d_steer=0.0, mass=0.0, approach_limit=m.pi / 2.0)
         return replace(cls.of(vehicle, dt=dt), **bare, a_y_max=_NO_LIMIT, rate_limit=_NO_LIMIT)

@@ -1,7 +1,5 @@
 """What a learner's state is made of, for nets that are to see it in numbers near 1."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -64,7 +62,7 @@ class StateDescription:
         return asdict(self) | {"action_scale": self.action_scale or 0.0}
 
     @classmethod
-    def of_arrays(cls, f: Mapping[str, Any]) -> StateDescription:
+    def of_arrays(cls, f: Mapping[str, Any]) -> "StateDescription":
         """The one whose `arrays` are among those of a file."""
         given = {field.name: f[field.name].tolist() for field in fields(cls)}
         return cls(**given | {"action_scale": given["action_scale"] or None})

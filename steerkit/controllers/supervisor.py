@@ -1,7 +1,5 @@
 """The supervisor that switches between the learned and the recovery controller, and a guard against exceptions."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable

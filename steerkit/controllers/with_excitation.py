@@ -1,7 +1,5 @@
 """Excitation for identification: a wave on top of a controller's command."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import pi

@@ -1,7 +1,5 @@
 """Blocks: small immutable objects with typed ports and two pure functions over explicit state."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections import namedtuple
@@ -33,10 +31,10 @@ class _Spec:
         self.name = name
 
     @overload
-    def __get__(self, block: Port | None, owner: type) -> Self: ...
+    def __get__(self, block: "Port | None", owner: type) -> Self: ...
     @overload
-    def __get__(self, block: Block, owner: type) -> Port: ...
-    def __get__(self, block: Block | Port | None, owner: type) -> Self | Port:
+    def __get__(self, block: "Block", owner: type) -> "Port": ...
+    def __get__(self, block: "Block | Port | None", owner: type) -> "Self | Port":
         return Port(block, self) if isinstance(block, Block) else self  # type: ignore[arg-type]
 
 
@@ -71,7 +69,7 @@ class Out(_Spec):
 class Port(NamedTuple):
     """A port of one block object: what a wire joins, and a key of a `Log`."""
 
-    block: Block
+    block: "Block"
     spec: In | Out
 
     @property

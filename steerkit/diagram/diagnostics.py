@@ -3,8 +3,6 @@
 NumPy speaks of arrays, truth values and subscripts; a loop knows which block it asked, for what, and what was due.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath

@@ -1,7 +1,5 @@
 """Loops: named blocks and wires, checked when they are built, then stepped."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
@@ -47,7 +45,7 @@ class Sample(Mapping[str, Any]):
 
     __slots__ = ("_loop", "t", "y")
 
-    def __init__(self, loop: Loop, t: float, y: Sequence[Values]):
+    def __init__(self, loop: "Loop", t: float, y: Sequence[Values]):
         self._loop, self.t, self.y = loop, t, y
 
     def __getitem__(self, key: str | Port) -> Any:
@@ -127,7 +125,7 @@ class Loop:
     def __repr__(self) -> str:
         return f"Loop({', '.join(self.names)}; {len(self.wires)} wires; dt = {self.dt:g} s)"
 
-    def plot(self) -> Figure:
+    def plot(self) -> "Figure":
         """The diagram as a matplotlib figure: blocks, ports, units, wires, rates."""
         from steerkit.plots.diagram import plot_diagram
 
@@ -194,7 +192,7 @@ class Loop:
         """A tick k with k % period == phase at time t, which may be a symbol: what `steerkit.compiled` traces."""
         self._phases[phase](t, x, y)
 
-    def with_block(self, name: str, block: Block) -> Loop:
+    def with_block(self, name: str, block: Block) -> "Loop":
         """The same loop with one block replaced by another that has the same ports; states carry over."""
         old = self.blocks[self.names[self._number(name)]]
 
@@ -207,7 +205,7 @@ class Loop:
             dt=self.dt,
         )
 
-    def with_inserted(self, parts: Mapping[str, tuple[str, Block]]) -> Loop:
+    def with_inserted(self, parts: Mapping[str, tuple[str, Block]]) -> "Loop":
         """The same loop with blocks put into its wires: `{"car.v": ("noise", block)}`, behind car.v for all its users.
 
         Each block has one input and one output, of the signal's unit; the new blocks come last.

@@ -5,8 +5,6 @@ Each function takes Python floats (fast, by `math`), NumPy arrays (a batch of ca
 Neither NumPy's dispatch nor CasADi is paid for when the arguments are floats.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import sys

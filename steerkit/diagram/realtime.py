@@ -1,7 +1,5 @@
 """Run a loop in real time: at a fixed rate, without drift, with every late step counted and answered."""
 
-from __future__ import annotations
-
 import gc
 import math
 import os

@@ -1,7 +1,5 @@
 """Run a loop and keep its signals: `simulate` and `Log`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
@@ -26,7 +24,7 @@ Signal = str | Port
 class NonFiniteError(ArithmeticError):
     """A signal became NaN or infinite; `log` holds all that was recorded."""
 
-    def __init__(self, message: str, log: Log):
+    def __init__(self, message: str, log: "Log"):
         super().__init__(message)
         self.log = log
 
@@ -86,7 +84,7 @@ class Log(Mapping[str, np.ndarray]):
                 columns |= {f"{name}[{i}]": values.reshape(-1, n)[:, i] for i in range(n)}
         return columns
 
-    def to_pandas(self) -> pd.DataFrame:
+    def to_pandas(self) -> "pd.DataFrame":
         """A DataFrame indexed by t [s]; units in `frame.attrs["units"]`. Needs pandas (extra `bench`)."""
         import pandas as pd
 
@@ -119,7 +117,7 @@ class Log(Mapping[str, np.ndarray]):
             return pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), draft)
 
     @classmethod
-    def load(cls, file: str | FilePath) -> Log:
+    def load(cls, file: str | FilePath) -> "Log":
         """Read what `save` wrote; raises ValueError for any other or a broken file."""
         arrays = read_npz(file, "Log.load")
         if not {"t", "units"} <= arrays.keys():
@@ -133,7 +131,7 @@ class Log(Mapping[str, np.ndarray]):
 
         return plot_log(self, signals)
 
-    def animate(self, path: Path | None, file: str | FilePath, **options: Any) -> FilePath:
+    def animate(self, path: "Path | None", file: str | FilePath, **options: Any) -> FilePath:
         """Write a film of the run, .gif or .mp4: `steerkit.plots.animation.animate` with its options."""
         from steerkit.plots.animation import animate
 

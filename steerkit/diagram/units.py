@@ -1,7 +1,5 @@
 """The only place where degrees and kilometres an hour meet radians and metres a second."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Wires checked: where every input comes from, and in which order the blocks of a loop compute."""
 
-from __future__ import annotations
-
 import graphlib
 import math
 from collections.abc import Mapping, Sequence

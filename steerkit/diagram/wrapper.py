@@ -1,7 +1,5 @@
 """The base of blocks around another block, which they change in part and leave as it is in all else."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """A bank of candidates, one of which is the right one: recursive least squares for each, and the best between them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What an estimator says of a quantity: a value, how well it is known, and whether it is to be used."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from steerkit.diagram.block import Out

@@ -1,7 +1,5 @@
 """Prediction and correction of a mean and its covariance: a Kalman filter in plain arithmetic."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Steering ratio, understeer gradient, offset, gyro zero and what pushes the car aside, found while driving."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Dead time and lag of the steering, from the commands and what the car makes of them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

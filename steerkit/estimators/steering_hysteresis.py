@@ -1,7 +1,5 @@
 """Friction and free play of the steering, from the loops that they leave between an angle and what follows it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise

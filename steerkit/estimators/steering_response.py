@@ -1,7 +1,5 @@
 """What an angle of the steering comes to: behind lag and dead time, then as the yaw rate of the data sheet's car."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

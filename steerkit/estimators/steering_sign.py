@@ -1,7 +1,5 @@
 """Is the steering wired the wrong way round? The signs of motor, wheel sensor and gyro, told from driving."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a steering torque does to a car's lateral acceleration: gain, friction and offset, found while it drives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Where the car is and how it moves, from late and noisy measurements, the wheel's angle and a model of the car."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -395,7 +393,7 @@ class VehicleState(Block):
     """Finds ratio, understeer gradient and zeros from the measured wheel (held=False); None: the car is as modelled."""
 
     @classmethod
-    def of(cls, car: Any, **numbers: Any) -> VehicleState:
+    def of(cls, car: Any, **numbers: Any) -> "VehicleState":
         """The filter for a single-track plant: its `rhs`, and the ratio of its `vehicle`. numbers: other fields."""
         expected = "expected a single-track plant: LinearSingleTrack(vehicle=...), NonlinearSingleTrack(vehicle=...)"
         require(hasattr(car, "rhs"), "VehicleState", f"{type(car).__name__} has no rhs; {expected}")

@@ -1,7 +1,5 @@
 """Blocks and controller parts of loops as self-contained C99, for an ECU."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re
@@ -111,7 +109,7 @@ class _Part:
     expected: np.ndarray
 
     @classmethod
-    def of_loop(cls, loop: Loop, names: Sequence[str], alone: bool) -> _Part:
+    def of_loop(cls, loop: Loop, names: Sequence[str], alone: bool) -> "_Part":
         """The named blocks of a loop, with a piece of its simulation. alone: ports are named without their block."""
         for name in names:
             known(name, loop.names, "block of the loop")

@@ -1,7 +1,5 @@
 """Cars out: a vehicle's numbers as other programs write them, a CommonRoad parameter set and a row like opendbc's."""
 
-from __future__ import annotations
-
 from steerkit._support.errors import require
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.parameters import G

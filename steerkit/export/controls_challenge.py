@@ -1,7 +1,5 @@
 """A controller of lateral acceleration as the one Python file that comma's controls challenge takes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -4,8 +4,6 @@ The FMU holds the loop as straight-line Python (`steerkit.compiled`): where it r
 all FMUs of PythonFMU do, but neither steerkit nor NumPy.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import tempfile

@@ -1,7 +1,5 @@
 """Recorded transitions as a Minari data set, for offline learners of other libraries. Needs minari (extra `export`)."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import warnings

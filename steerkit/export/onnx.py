@@ -1,7 +1,5 @@
 """Learned policies as ONNX models, for runtimes in other languages, and the check that they agree with the block."""
 
-from __future__ import annotations
-
 import math
 import os
 from dataclasses import replace
@@ -80,7 +78,7 @@ def _equally_good(policy: NfqPolicy, u: Any, answer: Array, rounding: float) -> 
     return found
 
 
-def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
+def _nfq(graph: "_Graph", policy: NfqPolicy) -> tuple[str, str]:
     """The graph of the greedy policy; its nets see the state and, in the last column, the action."""
     order, d = sorted(policy.actions, key=abs), policy.description  # of equal values the gentlest action's comes first
     state, excess = "state", None
@@ -113,7 +111,7 @@ def _nfq(graph: _Graph, policy: NfqPolicy) -> tuple[str, str]:
     return chosen, lowest
 
 
-def _network(graph: _Graph, block: PolicyBlock) -> str:
+def _network(graph: "_Graph", block: PolicyBlock) -> str:
     """The graph of a policy block's net and its head."""
     d, net = block.description, cast(Network, block.policy)
     h = graph.op("Div", graph.op("Sub", "state", graph.number(d.mid)), graph.number(d.half))

@@ -8,8 +8,6 @@ The first two have a vector environment of their own, so that `gymnasium.make_ve
 loop, in C with all that is judged and drawn; it is made of `steerkit.gym.episodes.Episodes`, a batch in given arrays.
 """
 
-from __future__ import annotations
-
 import lazy_loader
 
 try:

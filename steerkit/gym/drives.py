@@ -1,7 +1,5 @@
 """N cars of a task in Python, episode after episode: on floats for one car, on arrays for more."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -23,7 +21,7 @@ Backend = Literal["python", "c"]
 
 def cars_of(
     task: Task, cars: int, backend: Backend, mode: AutoresetMode, threads: int | None = None
-) -> Drives | Episodes:
+) -> "Drives | Episodes":
     """The cars of a task, in Python or in C; with a warning in Python where a part of it cannot be compiled."""
     require(backend in ("python", "c"), "TrackSteering", f"backend {backend!r}; valid: python, c")
     if backend == "python":

@@ -1,7 +1,5 @@
 """N cars of a task in compiled C, episode after episode: one call a step, arrays in place, no Python a car."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 from collections.abc import Callable, Sequence

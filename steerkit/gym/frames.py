@@ -1,7 +1,5 @@
 """Frames of a drive: the car on its path, and the cross-track error of the last seconds."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 from typing import Any

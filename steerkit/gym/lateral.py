@@ -1,7 +1,5 @@
 """Following a target of lateral acceleration as a Gymnasium environment."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

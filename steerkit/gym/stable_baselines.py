@@ -1,7 +1,5 @@
 """Policies trained with Stable-Baselines3 as controller blocks that need neither it nor torch."""
 
-from __future__ import annotations
-
 from operator import attrgetter
 from typing import Any
 

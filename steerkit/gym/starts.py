@@ -1,7 +1,5 @@
 """Where an episode starts, and in which state: drawn, on the course, and settled in its bend."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -48,7 +46,7 @@ class Starts:
     A single-track car starts in the steady state of the bend it is in: sideslip, yaw rate, wheel and motor settled.
     """
 
-    task: Task
+    task: "Task"
 
     @cached_property
     def last(self) -> float:

@@ -1,7 +1,5 @@
 """What is to be steered, with which actions, and what counts: all that an environment is made of."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -119,7 +117,7 @@ class Task:
     mapping of columns to what becomes -1 and 1, `{"e": (-1.0, 1.0), "v": (0.0, 10.0)}`, becomes a description."""
 
     @classmethod
-    def of(cls, options: Mapping[str, Any]) -> Task:
+    def of(cls, options: Mapping[str, Any]) -> "Task":
         """The task with these options; raises ValueError naming an unknown one and all valid ones."""
         valid = [field.name for field in dataclasses.fields(cls)]
         for name in options:

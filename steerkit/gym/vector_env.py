@@ -1,7 +1,5 @@
 """N cars as one Gymnasium vector environment: one loop serves them all."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from numbers import Integral
 from typing import Any

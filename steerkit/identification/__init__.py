@@ -7,8 +7,6 @@ tyres = identify_tyres(drive, vehicle("vw-passat"))   # Pacejka's
 residual = learn_residual(tyres, drive)
 """
 
-from __future__ import annotations
-
 from steerkit.identification.fit import identify
 from steerkit.identification.residual import learn_residual
 from steerkit.identification.tyres import identify_tyres

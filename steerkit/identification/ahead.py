@@ -1,7 +1,5 @@
 """How far ahead an identified car is right: velocities and displacement, beside what is said without its tyres."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -44,7 +42,9 @@ class Ahead:
     """Where the log's displacement and v_y come from."""
 
 
-def look_ahead(found: Identified, drive: Drive, tyres: Tyres | None = None, residual: Residual | None = None) -> Ahead:
+def look_ahead(
+    found: Identified, drive: Drive, tyres: "Tyres | None" = None, residual: "Residual | None" = None
+) -> Ahead:
     """Errors of v_x, v_y, r and displacement up to 2 s ahead, from many starts in a drive of the identified car.
 
     Of three that start from the measured v_x, v_y and r, the speed staying what it is:

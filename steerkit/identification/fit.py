@@ -3,8 +3,6 @@
 That is: estimates, the car they make, and how well it predicts a drive.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -211,7 +209,7 @@ class Identified:
         require(str(file).endswith(".toml"), "Identified.save", f"{file}: a vehicle file ends in .toml")
         write_text(file, self.text(command=command, held_out=held_out))
 
-    def against(self, other: Identified) -> str:
+    def against(self, other: "Identified") -> str:
         """Whether another drive of the same car agrees: ratio, understeer gradient and delay, by their intervals."""
         apart = []
         for name in ("ratio_wheelbase", "understeer_gradient", "delay_lag"):

@@ -1,7 +1,5 @@
 """A small learned residual beside Pacejka tyres: accelerations by ridge regression, checked on held-out parts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

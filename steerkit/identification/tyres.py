@@ -1,7 +1,5 @@
 """Pacejka tyres of a car from a drive: a nonlinear single track fitted by simulation from many starts, intervals."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

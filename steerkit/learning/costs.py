@@ -5,8 +5,6 @@ before a fast car's share of them is taken (`StateDescription.scaled`). cost: (n
 terminal: (n,) bool. Costs look at where the car came to (s_next) and what it did to get there (a).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -113,7 +111,7 @@ class TanhCost(_Limits):
         narrow, wide = self.goal_least, self.goal
         require(narrow <= wide, "TanhCost", f"goal_least = {narrow}, goal = {wide} [m], expected goal_least <= goal")
 
-    def narrowed(self, e: Array, fast: float = 1.0) -> TanhCost:
+    def narrowed(self, e: Array, fast: float = 1.0) -> "TanhCost":
         """The cost with goal = _WELL median |e| of driving e (n,) [m], within goal_least*fast and goal.
 
         fast: how many times `scaled_from` the speed is, 1 at least: an error of the course leads the car off as many

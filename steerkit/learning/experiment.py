@@ -1,7 +1,5 @@
 """The learning experiment: a car drives, fails, recovers and trains, and every second of it is counted."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

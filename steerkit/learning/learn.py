@@ -1,7 +1,5 @@
 """Run a learning experiment to its end, and keep it; or learn from a record or a log, without driving."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace

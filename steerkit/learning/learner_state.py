@@ -1,7 +1,5 @@
 """A learner in simulation or on a car: what is recorded and counted, when it trains, and who may steer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

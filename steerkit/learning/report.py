@@ -1,7 +1,5 @@
 """What a person sees of a run: a bar, lines, TensorBoard's curves while it learns; tables and pictures after it."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections import deque

@@ -7,8 +7,6 @@ nets/net-NNNN.npz   the policy after update NNNN (0: the untrained net)
 drive/NNNN.npz      the signals between two checkpoints, 20 a second
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -140,7 +138,7 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
     for f in fields(kind):
         value = values.get(f.name, f.default)
         numbers = not isinstance(value, tuple) or all(isinstance(one, (float, int)) for one in value)
-        types, expected = _PLAIN.get(str(f.type), (object, "numbers"))
+        types, expected = _PLAIN.get(f.type, (object, "numbers"))
         ok = f.name not in values or (isinstance(value, types) and numbers)
         require(ok, where, f"{f.name} = {value!r:.50}, expected {expected}")
     try:
@@ -149,8 +147,8 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
         raise ValueError(f"{where}: {error}") from error
 
 
-_PLAIN: dict[str, Any] = {"float": ((float, int), "a number"), "int": (int, "a whole number"), "str": (str, "a text")}
-_PLAIN |= {"bool": (bool, "true or false"), "tuple[float, ...]": (tuple, "numbers")}
+_PLAIN: dict[Any, Any] = {float: ((float, int), "a number"), int: (int, "a whole number"), str: (str, "a text")}
+_PLAIN |= {bool: (bool, "true or false"), tuple[float, ...]: (tuple, "numbers")}
 
 
 def keep_in(run: LearningRun, place: FilePath) -> None:

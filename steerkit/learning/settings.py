@@ -1,7 +1,5 @@
 """How a learner learns: settings by name, `paper` as published and `default`, the best we know."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable
@@ -122,7 +120,7 @@ class Setting:
         """The dynamic output element, within the stops of `vehicle`'s steering wheel (None: 520 degrees)."""
         return make_element(self.doe, vehicle)
 
-    def suited(self, design_model: DesignModel) -> Setting:
+    def suited(self, design_model: DesignModel) -> "Setting":
         """This setting for that car: where torque steers it, no action asks for more than its slew lets happen.
 
         The largest action turns the wheel by a/x^2 in a sample (`StateDescription.scaled`), and the slew lets it turn

@@ -5,8 +5,6 @@ exchange of nets happens between two samples or not at all. Results are handed o
 submitted before an earlier one was fetched, the earlier one's nets are what the later one starts from, and no more.
 """
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

@@ -3,8 +3,6 @@
 drive = read_drive("lap.mat", ColumnMap.load("lap.toml"))
 """
 
-from __future__ import annotations
-
 from steerkit.logs.channels import Channel, Column, ColumnMap
 from steerkit.logs.drive import Drive
 from steerkit.logs.reading import RawLog, drive_of, read_drive, read_log, shipped_drives

@@ -1,7 +1,5 @@
 """Readers of raw CAN logs (BLF, ASC, TRC, candump), and what a DBC says of the frames, whatever file they came in."""
 
-from __future__ import annotations
-
 import gzip
 import logging
 import math
@@ -194,7 +192,7 @@ def _opendbc(name: str) -> str:
     return made[name] if name in made else (folder / f"{name}.dbc").read_text(encoding="utf-8", errors="replace")
 
 
-def _table(message: Any, rows: array[float], notes: list[str]) -> Table | None:
+def _table(message: Any, rows: "array[float]", notes: list[str]) -> Table | None:
     """A message's signals over time, without frames that do not decode, or lack a check sum that nearly all hold."""
     whole = np.frombuffer(rows).reshape(-1, 2 + len(message.signals))
     held = whole[:, 1]

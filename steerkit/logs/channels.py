@@ -1,7 +1,5 @@
 """What a log's file holds, channels with clocks, and which of them are the quantities of a drive: the column map."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -130,14 +128,14 @@ class ColumnMap:
     columns: Mapping[str, Column]
 
     @classmethod
-    def load(cls, file: str | Path) -> ColumnMap:
+    def load(cls, file: str | Path) -> "ColumnMap":
         """A map from a TOML file with a table `[columns]`; raises ValueError saying what is wrong where."""
         data = read_toml(file, f"--map {file}")
         require("columns" in data, f"--map {file}", f"no table [columns]; it holds {', '.join(data) or 'nothing'}")
         return cls.of(data["columns"], where=f"--map {file}")
 
     @classmethod
-    def of(cls, table: Mapping[str, Any], *, where: str = "column map") -> ColumnMap:
+    def of(cls, table: Mapping[str, Any], *, where: str = "column map") -> "ColumnMap":
         """A map from `{quantity: name}` or `{quantity: {column, unit, scale, offset}}`."""
         columns = {}
         for quantity, entry in table.items():
@@ -156,7 +154,7 @@ class ColumnMap:
         return cls(columns)
 
     @classmethod
-    def parsed(cls, words: Iterable[str]) -> ColumnMap:
+    def parsed(cls, words: Iterable[str]) -> "ColumnMap":
         """A map from words such as `delta_sw=steering_angle:deg` or `delta_sw=df:rad:15.87` (unit, then scale)."""
         table: dict[str, Any] = {}
         for word in words:
@@ -171,7 +169,7 @@ class ColumnMap:
                     raise ValueError(f"--column: '{word}': scale '{more[1]}' is no number") from None
         return cls.of(table, where="--column")
 
-    def with_guesses(self, channels: Mapping[str, Channel], *, where: str) -> ColumnMap:
+    def with_guesses(self, channels: Mapping[str, Channel], *, where: str) -> "ColumnMap":
         """This map, completed with channels of well-known names or kinds, each with the unit that the file names.
 
         Raises ValueError when something that a drive needs is missing.

@@ -1,7 +1,5 @@
 """What is in a log: its channels, what each is read as, the drive they make, and a picture of it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

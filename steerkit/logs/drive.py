@@ -1,7 +1,5 @@
 """A recorded drive on one clock: what is repaired is reported, what cannot be is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -247,7 +245,7 @@ class Drive:
         notes: Sequence[str] = (),
         digest: str = "",
         commanded: bool = False,
-    ) -> Drive:
+    ) -> "Drive":
         """A drive from columns in SI (n,): t, delta_sw, v, r or psi or both, x and y if known; on one clock.
 
         Repaired, with a note each: rows that are not finite, rows out of order, repeated times, lone values that no

@@ -4,8 +4,6 @@ Both hold the same topics: `/car`, `/wheel`, `/path` under the names that the la
 the scene of Foxglove's 3D panel. Clients of the live server can look, and nothing else: it offers no capability.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import threading

@@ -1,7 +1,5 @@
 """`read_log`: any file of a log to channels; `read_drive`: those to a drive on one clock."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping

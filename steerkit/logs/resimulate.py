@@ -1,7 +1,5 @@
 """The loop that drives a recorded drive again, what is different then, and its picture and film."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import cycle

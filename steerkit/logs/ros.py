@@ -1,7 +1,5 @@
 """Reader of ROS bags (SQLite, MCAP, ROS 1) without ROS: which messages are known, and what they hold."""
 
-from __future__ import annotations
-
 import tomllib
 from array import array
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Readers of tables: CSV, MATLAB, npz, Parquet, MDF 4, and the recording of a car server."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import sys

@@ -1,7 +1,5 @@
 """What passengers feel: lateral acceleration and jerk as UN R79 filters them, and as ISO 2631-1 weights them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The few metrics of a drive that say whether it was good."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

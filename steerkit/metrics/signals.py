@@ -1,7 +1,5 @@
 """Figures of one signal of one car: size, shares, rates; and the checks that all metrics share."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The list of all metrics: what each is called, its unit, its source, and which way is better; and all of one drive."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Paths: smooth plane curves by arc length, from waypoints, files or GPS, looked up at the cost of one table row."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -165,7 +163,7 @@ class Path:
         rows = np.stack([curve(middle, k) / math.factorial(k) for k in range(_DEGREE + 1)])  # (k, n, xy)
         return cls(table=Table(rows.transpose(1, 2, 0).reshape(n, -1)), length=end, closed=closed, name=name)
 
-    def reversed(self) -> Path:
+    def reversed(self) -> "Path":
         """The same curve driven the other way; what was left is right."""
         flip = np.tile([1.0, -1.0], _DEGREE + 1)  # w -> -w
         return dataclasses.replace(self, table=Table(self.table.rows[::-1] * flip))
@@ -211,7 +209,7 @@ class Path:
     # -- as arrays ----------------------------------------------------------------------------------------------
 
     @cached_property
-    def samples(self) -> Path.Samples:
+    def samples(self) -> "Path.Samples":
         """The path at its knots: `s`, `xy`, `psi` (unwrapped), `kappa`, each with n + 1 entries, both ends in."""
         s = np.linspace(0.0, self.length, len(self.table) + 1)
         x, y, dx, dy, ddx, ddy = self.frame(s)

@@ -1,7 +1,5 @@
 """Where is the car along the path, and how far off: the block between a plant's pose and a controller's errors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 

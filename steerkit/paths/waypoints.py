@@ -1,7 +1,5 @@
 """Waypoints: read from the text of a CSV file, and checked before a path is laid along them."""
 
-from __future__ import annotations
-
 import math
 import re
 from array import array

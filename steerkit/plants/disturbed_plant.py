@@ -1,7 +1,5 @@
 """A car that crosswind and the bank of the road push aside."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

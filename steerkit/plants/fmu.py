@@ -1,7 +1,5 @@
 """A car from elsewhere: an FMU for model exchange (FMI 2.0) as a plant, through FMPy (extra `export`)."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import weakref
@@ -76,7 +74,7 @@ class FmuPlant(IntegratedCar):
             raise ValueError(f"FmuPlant: {self.file} is no FMU that can be read ({why})") from why
 
     @cached_property
-    def _fmu(self) -> _Equations:
+    def _fmu(self) -> "_Equations":
         numbers = {variable.name: variable.valueReference for variable in self._about.modelVariables}
         at = [numbers[self.variables.get(port, port)] for port in _NEEDED]
         start = {numbers[name]: float(value) for name, value in self.parameters.items()}

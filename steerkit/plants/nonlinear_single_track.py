@@ -1,7 +1,5 @@
 """The single-track car whose tyres saturate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

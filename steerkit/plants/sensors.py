@@ -1,7 +1,5 @@
 """What a controller sees of the car: noise, drift, bias and latency; late and lost samples, jumps, no sideslip."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

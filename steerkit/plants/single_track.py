@@ -1,7 +1,5 @@
 """The ports that every car has, and what the single tracks share: start, integration, rolling at walking pace."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple

@@ -1,7 +1,5 @@
 """Drivers who set the speed: wandering, steady, recorded, careful in bends; and a recorded drive played back."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The steering between controller and road wheels: the way of a command, the motor or a torque, a worn column."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -132,7 +130,7 @@ class TorqueSteering(DelayedSteering):
     """Understeer gradient of that car, K [rad s^2/m]."""
 
     @classmethod
-    def of(cls, vehicle: Vehicle, **settings: Any) -> TorqueSteering:
+    def of(cls, vehicle: Vehicle, **settings: Any) -> "TorqueSteering":
         """For the geometry, tyres, ratio and stop of the car that the commands are meant for; settings: any fields."""
         known: dict[str, Any] = dict(
             steer_ratio=vehicle.steer_ratio,

@@ -1,7 +1,5 @@
 """A run as a film: the car, to scale, on its path, with the cross-track error running beside it. GIF or MP4."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Any
@@ -45,8 +43,8 @@ def film_writer(file: str | File) -> Any:
 
 
 def animate(
-    log: Log,
-    path: Path | None,
+    log: "Log",
+    path: "Path | None",
     file: str | File,
     *,
     vehicle: Vehicle = VW_PASSAT,
@@ -94,7 +92,7 @@ class Moments:
         self.t, self.signals = t, {**signals, "psi": np.unwrap(signals["psi"])}
 
     @classmethod
-    def of_log(cls, log: Log) -> Moments:
+    def of_log(cls, log: "Log") -> "Moments":
         """Those of a log of one car."""
         names = {key: f"car.{key}" for key in ("x", "y", "psi", "v", "delta_sw")}
         errors = [name for name in ("path.e", *log) if name.rpartition(".")[2] == "e" and name in log]
@@ -116,7 +114,7 @@ class Scene:
     """The picture, and what moves in it."""
 
     def __init__(
-        self, run: Moments, path: Path | None, wheelbase: float, l_f: float, steer_ratio: float, window: float
+        self, run: Moments, path: "Path | None", wheelbase: float, l_f: float, steer_ratio: float, window: float
     ):
         from matplotlib.figure import Figure
 
@@ -193,7 +191,7 @@ class Scene:
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def draw_path(axis: Axes, path: Path) -> None:
+def draw_path(axis: "Axes", path: "Path") -> None:
     """The path, and the limits of |e| beside it."""
     line = path.samples
     ends = [0] if path.closed else []
@@ -209,7 +207,7 @@ def draw_path(axis: Axes, path: Path) -> None:
 class CarShape:
     """A car to scale, seen from above, its front wheels turned as they are."""
 
-    def __init__(self, axis: Axes, wheelbase: float, l_f: float):
+    def __init__(self, axis: "Axes", wheelbase: float, l_f: float):
         from matplotlib.patches import Polygon
 
         rear = l_f - wheelbase

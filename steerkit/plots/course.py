@@ -1,7 +1,5 @@
 """A course from above, with its curvature."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +12,7 @@ if TYPE_CHECKING:
     from steerkit.paths.path import Path
 
 
-def plot_course(path: Path, *, title: str | None = None) -> Figure:
+def plot_course(path: "Path", *, title: str | None = None) -> "Figure":
     """A path seen from above, coloured by curvature, with start and direction; curvature over s beside it."""
     figure, (above, along) = new_figure(1, map_beside=True, height=4.2, title=repr(path) if title is None else title)
     line = path.samples

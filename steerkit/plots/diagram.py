@@ -1,7 +1,5 @@
 """The picture of a loop: blocks, wires, units, rates."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +17,7 @@ if TYPE_CHECKING:
     from steerkit.diagram.loop import Loop
 
 
-def plot_diagram(loop: Loop) -> Figure:
+def plot_diagram(loop: "Loop") -> "Figure":
     """The picture of a loop: blocks with class and rate, ports with units, wires coloured by their source.
 
     Signals flow from left to right, feedback returns underneath. A hollow port is an input that only `update` sees
@@ -45,13 +43,13 @@ def plot_diagram(loop: Loop) -> Figure:
     return figure
 
 
-def _draw_wire(axes: Axes, line: Line, colour: str, order: float) -> None:
+def _draw_wire(axes: "Axes", line: "Line", colour: str, order: float) -> None:
     for shade, width, above in ((COLOURS["paper"], 4.0, 0.0), (colour, 1.2, 0.005)):
         for way in line.ways:
             axes.plot(*zip(*way), color=shade, lw=width, zorder=order + above, solid_joinstyle="round")
 
 
-def _draw_box(axes: Axes, box: Box, colour: str, hollow: set[str]) -> None:
+def _draw_box(axes: "Axes", box: "Box", colour: str, hollow: set[str]) -> None:
     from matplotlib.colors import to_rgb
     from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
 
@@ -150,7 +148,7 @@ class Diagram:
     height: float
 
 
-def arrange(loop: Loop) -> Diagram:
+def arrange(loop: "Loop") -> Diagram:
     """The picture of a loop: a block stands right of those that drive it, in the order in which blocks are called.
 
     Wires to the next column run straight there; those that leave out columns run above all boxes, those back below.
@@ -177,7 +175,7 @@ def arrange(loop: Loop) -> Diagram:
     return Diagram(boxes, lines, x, height)
 
 
-def _box(loop: Loop, name: str) -> Box:
+def _box(loop: "Loop", name: str) -> Box:
     block = loop.blocks[name]
     wired = {a.spec.name for a, _ in loop.wires if a.block is block}
     outputs = [out for out in block.outputs if out.name in wired]
@@ -198,7 +196,7 @@ def _box(loop: Loop, name: str) -> Box:
     )
 
 
-def _columns(loop: Loop, boxes: Sequence[Box], lines: Sequence[Line]) -> list[list[Box]]:
+def _columns(loop: "Loop", boxes: Sequence[Box], lines: Sequence[Line]) -> list[list[Box]]:
     """The boxes of each column: as few wires as possible run backwards, then the longest forward path counts."""
     weight = Counter((line.source, loop.names.index(box.name)) for line in lines for box, _ in line.ends)
 

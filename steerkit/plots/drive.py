@@ -1,7 +1,5 @@
 """Pictures of a drive, as matplotlib figures: a round on the map, and cross-track error over time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import cycle
 from typing import Any

@@ -1,7 +1,5 @@
 """Signals of a log over time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -18,7 +16,7 @@ _SHOWN = ("e", "delta_sw", "v", "a_y", "psi_e", "r")  # outputs worth a panel, b
 _PANELS = 4
 
 
-def plot_log(log: Log, signals: Sequence[Signal] | None = None) -> Figure:
+def plot_log(log: "Log", signals: "Sequence[Signal] | None" = None) -> "Figure":
     """Signals of a log over t, one panel a unit, all panels over the same t; returns the figure.
 
     signals: names or ports (default: all). A vector gives a line an entry, a batch a thin line a car. Raises KeyError
@@ -50,7 +48,7 @@ def plot_log(log: Log, signals: Sequence[Signal] | None = None) -> Figure:
     return figure
 
 
-def telling(log: Log) -> list[str]:
+def telling(log: "Log") -> list[str]:
     """Up to four signals, of different names, that tell most about a drive; else the first ones."""
     chosen = []
     for name in _SHOWN:
@@ -58,7 +56,7 @@ def telling(log: Log) -> list[str]:
     return chosen[:_PANELS] or [signal for signal in log if log[signal].size][:_PANELS]
 
 
-def _name(log: Log, signal: Signal) -> str:
+def _name(log: "Log", signal: "Signal") -> str:
     """The signal's name, checked to be recorded."""
     log[signal]
     return signal if isinstance(signal, str) else log.loop.port_name(signal)  # type: ignore[union-attr]

@@ -1,7 +1,5 @@
 """A report as one HTML page that loads nothing: its look, its tables and its pictures, on a phone, a desk or paper."""
 
-from __future__ import annotations
-
 import base64
 import time
 from collections.abc import Iterable, Sequence

@@ -4,8 +4,6 @@ The figures are plain `matplotlib.figure.Figure` objects, made without pyplot: n
 opens a window; `figure.savefig(...)`, or show them in a notebook.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -50,7 +48,7 @@ styled = style()
 """A decorator: the function draws in that style."""
 
 
-def save(figure: Figure, file: Any, **options: Any) -> None:
+def save(figure: "Figure", file: Any, **options: Any) -> None:
     """Write a figure laid out once; `figure.savefig` lays it out and draws it twice, which takes twice as long."""
     engine, dpi = figure.get_layout_engine(), figure.dpi
     try:
@@ -73,7 +71,7 @@ def png(figure: Any, dpi: int = DPI) -> bytes:
 
 def new_figure(
     rows: int = 1, *, title: str = "", map_beside: bool = False, width: float = 9.0, height: float | None = None
-) -> tuple[Figure, tuple[Axes, ...]]:
+) -> "tuple[Figure, tuple[Axes, ...]]":
     """A figure with `rows` panels over a shared x axis; with `map_beside`, a square panel on the left comes first."""
     from matplotlib.figure import Figure
 

@@ -1,7 +1,5 @@
 """What a manoeuvre's runs tell of a car: gains, times, loops, gradients, with intervals over repeats; the verdict."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Where a log has a manoeuvre in it: runs cut out of a recorded drive, by the form of the input or of the course."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

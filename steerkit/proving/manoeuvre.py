@@ -1,7 +1,5 @@
 """A manoeuvre as data: conditions, steering input or course, when it is aborted, what is evaluated, its limits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -232,7 +230,7 @@ class Manoeuvre:
         """Length of the input [s]; raises ValueError for a manoeuvre on a course."""
         return (len(self.required.wave) - 1) * SPACING
 
-    def at(self, v: float | None = None, a_y: float | None = None) -> Manoeuvre:
+    def at(self, v: float | None = None, a_y: float | None = None) -> "Manoeuvre":
         """The same at another speed [m/s], or of another size [m/s^2]: what is left out stays."""
         changed, sources = self, dict(self.sources)
         if v not in (None, self.conditions.v):
@@ -292,9 +290,10 @@ def _made(kind: Any, table: Any, where: str) -> Any:
     valid = kind.__dataclass_fields__
     for key, value in table.items():
         require(key in valid, where, f"no key '{key}'{nearest(key, valid)}; valid: {', '.join(valid)}")
-        wanted = {"float": (int, float), "str": (str,), "bool": (bool,), "int": (int,)}.get(valid[key].type)
-        fits = wanted is None or (isinstance(value, wanted) and (isinstance(value, bool) == (wanted == (bool,))))
-        require(fits, where, f"{key} = {value!r:.60}, expected {valid[key].type}")
+        wanted = valid[key].type
+        if wanted in (float, str, int):
+            fits = isinstance(value, (int, float) if wanted is float else wanted) and not isinstance(value, bool)
+            require(fits, where, f"{key} = {value!r:.60}, expected {wanted.__name__}")
     lists = {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
     try:
         return kind(**lists)

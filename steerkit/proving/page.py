@@ -1,7 +1,5 @@
 """A manoeuvre's report as one HTML page: verdict, pictures, results, runs, and what ISO 7401 asks a report to state."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What a test engineer expects to see of a manoeuvre: histories, a characteristic curve, a Bode diagram, loops."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -41,7 +39,7 @@ def coloured(evaluations: Sequence[Evaluation]) -> Iterator[tuple[Evaluation, st
     return zip(evaluations, itertools.cycle(PALETTE))
 
 
-def pictures(evaluations: Sequence[Evaluation]) -> list[tuple[str, Figure]]:
+def pictures(evaluations: Sequence[Evaluation]) -> "list[tuple[str, Figure]]":
     """Captions and pictures, of evaluations of one manoeuvre, of what their valid runs tell; empty where there is none.
 
     All runs thin, the first one bold, in one colour for each evaluation; runs to the right with their sign changed.
@@ -62,7 +60,7 @@ def pictures(evaluations: Sequence[Evaluation]) -> list[tuple[str, Figure]]:
         return [make(drawn) for make in made.get(evaluations[0].manoeuvre.evaluation, (_histories,))] if drawn else []
 
 
-def _panels(rows: int, drawn: list[_Drawn], height: float) -> tuple[Figure, tuple[Axes, ...]]:
+def _panels(rows: int, drawn: list[_Drawn], height: float) -> "tuple[Figure, tuple[Axes, ...]]":
     figure, panels = new_figure(rows, width=_WIDTH, height=height)
     if 1 < len(drawn) <= len(PALETTE):
         names = [(one.of.who or one.of.vehicle.name)[:44].replace("$", r"\$") for one in drawn]
@@ -71,14 +69,14 @@ def _panels(rows: int, drawn: list[_Drawn], height: float) -> tuple[Figure, tupl
     return figure, panels
 
 
-def _all(panel: Axes, drawn: list[_Drawn], x: Callable[[Run], Array], y: Callable[[Run], Array]) -> None:
+def _all(panel: "Axes", drawn: list[_Drawn], x: Callable[[Run], Array], y: Callable[[Run], Array]) -> None:
     for one in drawn:
         for k, run in enumerate(one.runs):
             width, alpha = (0.7, 0.6) if k else (1.7, 1.0)
             panel.plot(x(run), y(run), color=one.colour, lw=width, alpha=alpha, zorder=2 if k else 3)
 
 
-def _histories(drawn: list[_Drawn]) -> tuple[str, Figure]:
+def _histories(drawn: list[_Drawn]) -> "tuple[str, Figure]":
     """Angle, yaw rate and lateral acceleration over time; on a course over the way, with the cross-track error."""
     m = drawn[0].of.manoeuvre
     names = ["a_y", "delta_sw", "r"] if m.evaluation == "request" else ["delta_sw", "r", "a_y"]
@@ -114,7 +112,7 @@ def _histories(drawn: list[_Drawn]) -> tuple[str, Figure]:
     return said, figure
 
 
-def _answers(drawn: list[_Drawn]) -> tuple[str, Figure]:
+def _answers(drawn: list[_Drawn]) -> "tuple[str, Figure]":
     """Yaw rate and lateral acceleration over their steady values, with what ISO 7401 reads from them."""
     seconds, levels = drawn[0].of.manoeuvre.seconds, (0.5, 0.9)
 
@@ -138,7 +136,7 @@ def _answers(drawn: list[_Drawn]) -> tuple[str, Figure]:
     return "Green: within 10 % of the steady value. Points: 50 % and 90 % of it, by the first run.", figure
 
 
-def _characteristic(drawn: list[_Drawn]) -> tuple[str, Figure]:
+def _characteristic(drawn: list[_Drawn]) -> "tuple[str, Figure]":
     """Steering-wheel angle over lateral acceleration, and what of it is beyond Ackermann's."""
     figure, panels = _panels(2, drawn, 5.2)
     for one in drawn:
@@ -158,7 +156,7 @@ def _characteristic(drawn: list[_Drawn]) -> tuple[str, Figure]:
     return "Characteristic curve: points, fitted line; dashed: Ackermann's angle (steering ratio x L r/v).", figure
 
 
-def _response(drawn: list[_Drawn], name: str) -> tuple[str, Figure]:
+def _response(drawn: list[_Drawn], name: str) -> "tuple[str, Figure]":
     """Gain, phase and, of the yaw rate, coherence over frequency; the fitted model, where there is one."""
     of_yaw = name == "response"
     scale, unit = (1.0, "1/s") if of_yaw else (radians_of(1.0), "m/s^2/deg")
@@ -183,7 +181,7 @@ def _response(drawn: list[_Drawn], name: str) -> tuple[str, Figure]:
     return f"From the steering-wheel angle to the {what}", figure
 
 
-def _loops(drawn: list[_Drawn]) -> tuple[str, Figure]:
+def _loops(drawn: list[_Drawn]) -> "tuple[str, Figure]":
     """Lateral acceleration and yaw rate over the angle: of whole periods, or while the wheel turns."""
     m = drawn[0].of.manoeuvre
     form = m.required

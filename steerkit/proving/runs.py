@@ -1,7 +1,5 @@
 """A manoeuvre's runs: signals about the time at which the input began, in one sign, filtered as it asks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

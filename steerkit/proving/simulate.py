@@ -1,7 +1,5 @@
 """A manoeuvre in simulation: any plant, steering and controller of a scenario; and many cars at once, compiled."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The usual steering loop, wired in one call; everything it does can be done by hand."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Collection, Iterable
 from dataclasses import replace

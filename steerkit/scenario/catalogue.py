@@ -1,7 +1,5 @@
 """Every controller, output element and plant by name, and the one recipe by which each is made, whoever asks."""
 
-from __future__ import annotations
-
 import logging
 import math
 from bisect import bisect_left

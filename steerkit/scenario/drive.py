@@ -1,7 +1,5 @@
 """The loop of a drive, assembled in one place; test drives over whole rounds, and their table."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, replace

@@ -1,7 +1,5 @@
 """Scenarios drawn by seed: a production car with its delay, and what else nobody wrote into a data sheet."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Drives after a target of lateral acceleration instead of a course, judged as comma's controls challenge judges."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -61,7 +59,7 @@ class LateralTarget(Block):
     @classmethod
     def of(
         cls, a_y: ArrayLike, v: ArrayLike, a_roll: ArrayLike = 0.0, *, where: str = "LateralTarget"
-    ) -> LateralTarget:
+    ) -> "LateralTarget":
         """The target of these samples, 0.1 s apart, (n,) or one number for all; a_x is the change of v.
 
         Raises ValueError for fewer than 2 samples, for a NaN, or for what no car drives.
@@ -77,7 +75,7 @@ class LateralTarget(Block):
         return cls(table=Table(np.column_stack((columns["a_y"], columns["a_roll"], columns["v"], a_x))))
 
     @classmethod
-    def drawn(cls, seed: int, *, seconds: float = 60.0) -> LateralTarget:
+    def drawn(cls, seed: int, *, seconds: float = 60.0) -> "LateralTarget":
         """A target by seed: bends of 0.5 to 1.8 m/s^2 and slower ones than 0.25 Hz, 9 to 29 m/s, a banked road."""
         rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, DT)
 
@@ -91,7 +89,7 @@ class LateralTarget(Block):
         return cls.of(a_y, slow + 2.0 * wave(0.03), 0.3 * wave(0.05) * np.clip(t / 3.0, 0.0, 1.0))
 
     @classmethod
-    def lap(cls, scenario: Scenario) -> LateralTarget:
+    def lap(cls, scenario: Scenario) -> "LateralTarget":
         """The lateral acceleration of a scenario's course, at its driver's speeds along it."""
         path = scenario.path()
         s, v = scenario.driver.profile(scenario.course, path)
@@ -101,7 +99,7 @@ class LateralTarget(Block):
         return cls.of([path.kappa(place) for place in np.interp(even, t, s).tolist()] * v * v, v)
 
     @classmethod
-    def read(cls, name: str, scenario: Scenario | None = None) -> LateralTarget:
+    def read(cls, name: str, scenario: Scenario | None = None) -> "LateralTarget":
         """The target of that name: `drawn-7`, by a seed; `lap`, the scenario's; or a CSV file.
 
         Its columns: a_y [m/s^2] and v [m/s], and, if there, a_roll [m/s^2] and t [s], without which samples are 0.1 s

@@ -1,13 +1,11 @@
 """The parts of a scenario: course, vehicle, driver, steering, sensors, disturbances, and what controllers believe."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path as FilePath
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 
@@ -48,11 +46,11 @@ def _word(*valid: str) -> Any:
     return field(default=valid[0], metadata={"valid": valid})
 
 
-_KINDS: Mapping[str, tuple[tuple[type, ...], str]] = {
-    "str": ((str,), "text"),
-    "str | None": ((str, type(None)), "text, or nothing"),
-    "bool": ((bool,), "true or false"),
-    "bool | None": ((bool, type(None)), "true or false, or nothing"),
+_KINDS: Mapping[Any, str] = {
+    str: "text",
+    str | None: "text, or nothing",
+    bool: "true or false",
+    bool | None: "true or false, or nothing",
 }
 """What a field of that annotation holds, and how it is called in an error."""
 
@@ -72,7 +70,7 @@ class Part:
     def __post_init__(self) -> None:
         check_numbers(self, self.table)
         for f in fields(self):
-            value = getattr(self, f.name)
+            value, kind = getattr(self, f.name), cast(Any, f.type)
             if "valid" in f.metadata:
                 valid = f.metadata["valid"]
                 require(value in valid, self.table, f"{f.name} {value!r}; valid: {', '.join(valid)}")
@@ -80,10 +78,9 @@ class Part:
                 plain = isinstance(value, int | float) and not isinstance(value, bool)
                 require(plain, self.table, f"{f.name} = {value!r}, expected a number [{f.metadata['number'][0]}]")
                 object.__setattr__(self, f.name, float(value))
-            elif str(f.type) in _KINDS:
-                kinds, what = _KINDS[str(f.type)]
-                fits = isinstance(value, (FilePath, *kinds) if f.name == self.file else kinds)
-                require(fits, self.table, f"{f.name} = {value!r:.60}, expected {what}")
+            elif kind in _KINDS:
+                fits = isinstance(value, kind) or (f.name == self.file and isinstance(value, FilePath))
+                require(fits, self.table, f"{f.name} = {value!r:.60}, expected {_KINDS[kind]}")
 
     @classmethod
     def of(cls, given: Any, base: Self | None = None) -> Self:

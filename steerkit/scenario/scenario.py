@@ -1,7 +1,5 @@
 """The scenario: which course is driven how fast with which car, what disturbs it, and what controllers believe."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """A loop driven with every combination of parameter values, each a car of one compiled batch."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -56,7 +54,7 @@ class Sweep:
         return {name: float(values[row]) for name, values in self.columns.items()}
 
     @styled
-    def plot(self) -> Figure:
+    def plot(self) -> "Figure":
         """A panel a metric over one parameter, or over two with the metric as colour; gaps where it is NaN.
 
         An axis is logarithmic where its values are evenly spaced in log. Raises ValueError for more parameters.

@@ -1,7 +1,5 @@
 """Cars: their numbers, by name, drawn from a fleet, or from a file."""
 
-from __future__ import annotations
-
 import re
 
 from steerkit._support.errors import nearest

@@ -1,7 +1,5 @@
 """Vehicle files: a car, its steering and where the numbers come from, as TOML; read by `vehicle("car.toml")`."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Mapping

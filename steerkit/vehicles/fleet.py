@@ -1,7 +1,5 @@
 """The fleet: production cars by name, with the steering delay that their production software assumes."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass

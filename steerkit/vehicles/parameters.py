@@ -1,7 +1,5 @@
 """The parameters of a car; some cars by name, and where their numbers come from."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The roll-out of a car beside its path, under the commands on their way to its wheel: one for all that look ahead."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -80,7 +78,7 @@ class Rollout:
         check_numbers(self, "Rollout")
 
     @classmethod
-    def of(cls, vehicle: Vehicle, **settings: float | None) -> Rollout:
+    def of(cls, vehicle: Vehicle, **settings: float | None) -> "Rollout":
         """With geometry, tyres and ratio of a `Vehicle`; settings: any other fields."""
         require_vehicle(vehicle, "Rollout.of")
         L = vehicle.wheelbase

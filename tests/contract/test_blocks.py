@@ -500,7 +500,7 @@ def test_a_number_beyond_its_range_is_refused(made: Any) -> None:
     where = f"{type(made).__name__}: " if isinstance(made, Block) else ""
     for f in (f for f in dataclasses.fields(made) if "number" in f.metadata):
         unit, low, high, above = f.metadata["number"]
-        whole = f.type == "int"
+        whole = f.type is int
         beyond = [math.nan, *([low + 0.5] if whole else [low if above else low - 1e-6] * math.isfinite(low))]
         beyond += [high + (1 if whole else 1e-6)] * math.isfinite(high) + [low - 1] * whole
         for value in beyond:

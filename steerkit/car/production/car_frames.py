@@ -3,8 +3,6 @@
 Source of names and codes: commaai/opendbc 0.3.1 (MIT), `car/MAKER/carstate.py` and `safety/modes/MAKER.h`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path

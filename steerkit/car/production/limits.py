@@ -1,7 +1,5 @@
 """What a production car's port makes of a command, as limits that the gate, controllers and the learner know."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The line between a port and the buses of its car: a panda, adapters of python-can, or a simulated car's socket."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import struct
@@ -23,7 +21,7 @@ _KIND = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
 _BEAT = 0.3  # s between two heartbeats; a panda without one for seconds no longer lets steer
 
 
-def line_of(table: dict[str, Any], platform: Platform) -> Line:
+def line_of(table: dict[str, Any], platform: Platform) -> "Line":
     """The line that `[port]` describes, open; raises ValueError for a kind that is none, OSError where it is not there.
 
     table: `line`, `channel` (a panda's serial number, "" for the only one; HOST:PORT of a simulated car), `channels`

@@ -1,7 +1,5 @@
 """Production cars that can be steered through the library opendbc: which there are, by what, from which speed."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Mapping

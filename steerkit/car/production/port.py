@@ -4,8 +4,6 @@ What the car server sees is a kit: a command with an angle, and a report. Betwee
 interface for the platform, which reads the car's frames and writes those that steer it, within its own limits.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """A simulated production car: the car of `SimulatedCar`, behind its maker's frames instead of a kit's."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Which production cars can be steered through opendbc, as a table, and a car's file for one of them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Model predictive steering, with a linear and with the nonlinear motion of the car."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

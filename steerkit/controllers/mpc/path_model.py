@@ -1,7 +1,5 @@
 """A car's right-hand side in path coordinates, and all that predictive steering needs of it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A sample of predictive steering on numbers: prediction over the delay, path ahead, motion, programme, solution."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

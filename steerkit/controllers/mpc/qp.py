@@ -1,7 +1,5 @@
 """The quadratic programme of predictive steering: stated in symbols, solved by HPIPM through CasADi, and checked."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """How far from the data of a run a drive is: what a policy does there, nothing recorded tells."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -41,7 +39,7 @@ class Distance:
     """Share of the samples with that column beyond all recorded values [1]."""
 
     @classmethod
-    def of(cls, s: Array, record: Transitions, description: StateDescription) -> Distance:
+    def of(cls, s: Array, record: Transitions, description: StateDescription) -> "Distance":
         """That of states s (n, columns) to recorded ones. Raises ValueError for no record."""
         from scipy.spatial import cKDTree  # loads as slowly as all else that a drive needs
 

@@ -1,7 +1,5 @@
 """Transitions of a drive that was recorded elsewhere, and whether it shows enough of the car to learn from."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -169,7 +167,7 @@ class Excitation:
     v_high: float
 
     @classmethod
-    def of(cls, record: Transitions, description: StateDescription, longest: float) -> Excitation:
+    def of(cls, record: Transitions, description: StateDescription, longest: float) -> "Excitation":
         """That of transitions with the column kappa; longest: dead time that is looked for [s]."""
         seconds = len(record) * DT
         if seconds < 10.0:  # nothing to say of them

@@ -5,8 +5,6 @@ commits what has come in, four times a second. Commits are synced to the disk (s
 for the disk, the loop never does, and a car's power is cut as often as a process is killed.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -203,7 +201,7 @@ class TransitionStore:
         """Why the last commit did not succeed; empty when it did. The rows wait, and the writer tries again."""
         return self.writer.fault if self.writer else ""
 
-    def _writing(self) -> _Writer:
+    def _writing(self) -> "_Writer":
         if self.writer is None:
             raise StoreError(f"{self.path}: closed, or opened for reading; to append, open it with run='a label'")
         return self.writer

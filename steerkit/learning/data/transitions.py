@@ -1,7 +1,5 @@
 """Recorded transitions (s, a, s_next): all that the learner ever sees of a car, and who steered."""
 
-from __future__ import annotations
-
 import copy
 import os
 from collections.abc import Sequence
@@ -82,17 +80,17 @@ class Transitions:
             view.flags.writeable = False
             setattr(self, name, view)
 
-    def frozen(self) -> Transitions:
+    def frozen(self) -> "Transitions":
         """The rows of this moment, without a copy: recorded rows never change."""
         same = copy.copy(self)
         same._kept = {name: getattr(self, name) for name in self._kept}
         return same
 
-    def part(self, rows: slice | NDArray[Any]) -> Transitions:
+    def part(self, rows: slice | NDArray[Any]) -> "Transitions":
         """Those rows alone, copied."""
         return Transitions(self.names, *(getattr(self, name)[rows] for name in self._kept))
 
-    def to_pandas(self) -> pd.DataFrame:
+    def to_pandas(self) -> "pd.DataFrame":
         """A row a transition, in SI: s by its columns' names, a, s_next with `next_` before them, episode, own.
 
         Needs pandas (extra `bench`).
@@ -107,7 +105,7 @@ class Transitions:
         write_arrays(path, "transitions", {name: getattr(self, name) for name in ("names", *self._kept)})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Transitions:
+    def load(cls, path: str | os.PathLike[str]) -> "Transitions":
         """What `save` wrote, bit for bit; raises ValueError for a truncated or foreign file."""
         f = read_arrays(path, "transitions")
         try:

@@ -1,7 +1,5 @@
 """A process without dead time: recorded transitions in which what a car does is beside the command that it answers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace

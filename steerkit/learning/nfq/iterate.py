@@ -1,7 +1,5 @@
 """Neural Fitted Q Iteration: from recorded transitions to a better Q-function, one update at a time."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Sequence

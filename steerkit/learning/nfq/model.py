@@ -1,7 +1,5 @@
 """A small model of how the car answers the wheel, learned from the recorded transitions, and what it is used for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -47,11 +45,11 @@ class Felt(NamedTuple):
     slow: Array
     """What the next one's overshoot is counted from."""
 
-    def part(self, rows: Any, signs: Array | float = 1.0) -> Felt:
+    def part(self, rows: Any, signs: Array | float = 1.0) -> "Felt":
         """Those of some rows, mirrored where a sign is -1."""
         return Felt(*[angles[rows] * signs for angles in self])
 
-    def shifted(self, angle: Array) -> Felt:
+    def shifted(self, angle: Array) -> "Felt":
         """With the wheel turned by an angle (n,) [rad] all along."""
         return Felt(*[angles + angle for angles in self])
 
@@ -79,7 +77,7 @@ class CarModel(SteeringAnswer):
     """Largest |doe| [rad]."""
 
     @classmethod
-    def fit(cls, record: Transitions, description: StateDescription, *, fast: bool = False) -> CarModel:
+    def fit(cls, record: Transitions, description: StateDescription, *, fast: bool = False) -> "CarModel":
         """The model of recorded transitions; raises ValueError for none, or for states of other columns.
 
         Where they hold the curvature (a column kappa after the others), the yaw rate's answer is found without the

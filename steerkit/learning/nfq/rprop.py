@@ -1,7 +1,5 @@
 """The Q-network as plain arrays, and its training by full-batch Rprop: in C, or by the reference engine on PyTorch."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import warnings

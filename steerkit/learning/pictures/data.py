@@ -1,7 +1,5 @@
 """The picture of what a run has recorded, with a drive in it, and how far from it that goes."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +18,7 @@ _PAIRS = (((V, "v [m/s]"), (DOE, "wheel [deg]")), ((E, "e [m]"), (PSI_E, "psi_e 
 
 
 @styled
-def beside_the_data(record: Transitions, log: Log, apart: Distance, *, title: str) -> Figure:
+def beside_the_data(record: Transitions, log: Log, apart: Distance, *, title: str) -> "Figure":
     """Recorded states (grey), a drive's by their distance from them, and that distance over time."""
     figure, (only,) = new_figure(title=title, width=10.5, height=3.6)
     figure.delaxes(only)

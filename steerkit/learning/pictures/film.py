@@ -1,7 +1,5 @@
 """The film of a learning run, for a page's first screen: who steers, how far off the path, how often it failed."""
 
-from __future__ import annotations
-
 from pathlib import Path as FilePath
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of a policy: what its nets expect, and what it would do. How to read them: docs/learning.md."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -70,7 +68,7 @@ def policy_map(
     v: float = 6.0,
     doe_deg: Sequence[float] = (-120.0, 0.0, 120.0),
     title: str = "",
-) -> Figure:
+) -> "Figure":
     """The greedy action and its value over (e, psi_e) at speed v [m/s], for several angles of the steering wheel.
 
     Headings count from psi_0, that of a car which holds the path through the bend of that angle. Dots: the visited

@@ -4,8 +4,6 @@ Each function takes a `Record` (or a policy) and returns a matplotlib figure; `d
 directory. How to read them: docs/learning.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -50,7 +48,7 @@ class Record:
     transitions: Transitions
 
     @classmethod
-    def read(cls, place: str | FilePath) -> Record:
+    def read(cls, place: str | FilePath) -> "Record":
         """From a run directory; raises ValueError when there is none or it is broken."""
         place = FilePath(place)
         data = rundir.document(place)
@@ -95,7 +93,7 @@ class Record:
 
 
 @styled
-def learning_curve(record: Record) -> Figure:
+def learning_curve(record: Record) -> "Figure":
     """How long the learner steered, RMS e over the last seconds, and failures; shaded: recovery steers."""
     figure, (held, error, count) = new_figure(3, title=f"{record.name}: learning curve", width=10.5)
     colour, mark, end = COLOURS["learned"], COLOURS["limit"], float(record.log.t[-1])
@@ -124,7 +122,7 @@ def learning_curve(record: Record) -> Figure:
     return figure
 
 
-def replay(record: Record, number: int) -> Figure:
+def replay(record: Record, number: int) -> "Figure":
     """Episode `number` (from 1): on the map, e, wheel and lateral acceleration.
 
     Raises ValueError for an episode that is not there.

@@ -4,8 +4,6 @@
 `figure_eight`, `random_course`, `bends`, `lane_change`, `slalom` and `curvature_step` make others.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

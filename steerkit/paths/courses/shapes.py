@@ -1,7 +1,5 @@
 """Courses by formula: circle, straight, figure of eight, rounds of bends, random rounds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from importlib.resources import files

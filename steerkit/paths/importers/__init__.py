@@ -6,8 +6,6 @@ print(contents("town.xodr").listed())            # what there is to choose from
 town.to_csv("town.csv")                          # a course like any other
 """
 
-from __future__ import annotations
-
 from steerkit.paths.importers.course import TIGHTEST, Course, Line, course_of
 from steerkit.paths.importers.network import Map, Piece
 from steerkit.paths.importers.reading import Address, contents, is_road, read_course

@@ -1,7 +1,5 @@
 """A course from a file: its path, the speeds that came with it, and what was done to get it."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -43,17 +41,17 @@ class Line:
     v_limit: Array | None = None
     """Speed that is allowed there (n,) [m/s], NaN where nothing is said."""
 
-    def part(self, kept: NDArray[np.bool_] | slice) -> Line:
+    def part(self, kept: NDArray[np.bool_] | slice) -> "Line":
         """Some of the points."""
         v, limit = (None if a is None else a[kept] for a in (self.v, self.v_limit))
         return Line(xy=self.xy[kept], v=v, v_limit=limit)
 
-    def backwards(self) -> Line:
+    def backwards(self) -> "Line":
         """The other way round; what was driven was not driven so."""
         limit = None if self.v_limit is None else self.v_limit[::-1]
         return Line(xy=self.xy[::-1], v_limit=limit)
 
-    def dense(self, step: float = DENSE) -> Line:
+    def dense(self, step: float = DENSE) -> "Line":
         """With points between the points, so that none is more than `step` [m] from the next."""
         steps, s = distances(self.xy), travelled(self.xy)
         counts = np.ceil(steps / step).astype(int)

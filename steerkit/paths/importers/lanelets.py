@@ -1,7 +1,5 @@
 """Readers of lanelets and ways: CommonRoad scenarios, and OSM files with plain ways or with Lanelet2's lanelets."""
 
-from __future__ import annotations
-
 import re
 from array import array
 from collections import Counter

@@ -1,7 +1,5 @@
 """What a map holds, and a route through it: pieces of lane or way, and which follows which."""
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math
@@ -69,7 +67,7 @@ class Map:
         more = f" and {len(self.faulty) - 3} more" if len(self.faulty) > 3 else ""
         return [f"{len(self.faulty)} faulty {self.kind}s are left out: {'; '.join(some)}{more}"]
 
-    def source(self, choice: Mapping[str, str]) -> Map | Track:
+    def source(self, choice: Mapping[str, str]) -> "Map | Track":
         """What says noise, origin and whether it was drawn: the track that is chosen, or all of a map."""
         return self.tracks[choice.get(self.kind) or next(iter(self.tracks))] if self.tracks else self
 

@@ -1,7 +1,5 @@
 """OpenDRIVE files: roads, the centres of their lanes, and how lanes are linked."""
 
-from __future__ import annotations
-
 import functools
 import math
 import re
@@ -74,7 +72,7 @@ class Road:
     name: str
     length: float
     left_hand: bool
-    shapes: list[Shape]
+    shapes: "list[Shape]"
     offsets: Steps
     sections: list[Section]
     links: dict[str, tuple[str, str, str]]
@@ -248,7 +246,7 @@ def _road(node: Element) -> Road:
     )
 
 
-def _shape(node: Element) -> Shape:
+def _shape(node: Element) -> "Shape":
     s, x0, y0, psi0, length = (number(node, key) for key in ("s", "x", "y", "hdg", "length"))
     require(0.0 <= length <= 1e6, shown(node), f"is {length} m long")
     for child in node:
@@ -286,7 +284,7 @@ def _cubics(nodes: list[Element], key: str = "sOffset") -> Steps:
     return rows
 
 
-def _check_line(shapes: list[Shape], length: float, where: str) -> None:
+def _check_line(shapes: "list[Shape]", length: float, where: str) -> None:
     """ValueError where the pieces of a reference line do not meet or its length is not the stated one."""
     total = sum(shape.length for shape in shapes)
     fits = abs(total - length) <= 0.01 + 1e-3 * length

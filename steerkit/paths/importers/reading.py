@@ -1,7 +1,5 @@
 """From an address to a course: the reader of each kind of file, what is chosen in it, and how it is smoothed."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re
@@ -134,7 +132,7 @@ def _exact(file: str, closed: bool | None) -> Course:
     return Course(path=path, v=v, v_limit=limit, notes=(note, *said_of(bad.values())))
 
 
-def chosen(found: Map, where: Address, closed: bool | None = None) -> tuple[Line, bool, list[str]]:
+def chosen(found: Map, where: "Address", closed: bool | None = None) -> tuple[Line, bool, list[str]]:
     """The line that an address means, before it is smoothed; is it closed; and what to say of it."""
     choice = dict(where.choice)
     lap = choice.pop("lap", None)
@@ -183,7 +181,7 @@ class Address:
     """The other way round."""
 
     @classmethod
-    def parsed(cls, text: str) -> Address:
+    def parsed(cls, text: str) -> "Address":
         """The address in a text: `FILE`, or `FILE#KEY=VALUE,KEY=VALUE`; raises ValueError with the valid keys."""
         file, _, rest = text.partition("#")
         values: dict[str, str] = {}

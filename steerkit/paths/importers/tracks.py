@@ -1,7 +1,5 @@
 """Readers of what was recorded or drawn: GPX, KML, TCX, GeoJSON and CSV files."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json
@@ -95,7 +93,7 @@ class Track:
             for column in (self.a, self.b, self.t, self.v):
                 column.pop(end)
 
-    def call(self, name: str, others: Iterable[Track]) -> None:
+    def call(self, name: str, others: "Iterable[Track]") -> None:
         """Its name, unless it has one or another track has it; a comma would part keys of an address."""
         name = " ".join(name.replace(",", " ").split())
         if name and not self.a and name not in {track.name for track in others}:

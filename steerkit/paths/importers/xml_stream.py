@@ -1,7 +1,5 @@
 """XML read element by element, so that a map of any size takes little memory, and none that is made to harm."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator
 from pathlib import Path as FilePath
