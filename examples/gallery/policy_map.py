@@ -4,7 +4,7 @@ Dots are recorded states: far from them the net extrapolates. How to read it: se
 """
 
 from steerkit import Experiment, learn
-from steerkit.learning.pictures.policy import policy_map
+from steerkit.learning.pictures import policy_map
 from steerkit.scenario import Scenario
 
 run = learn(Experiment(scenario=Scenario(course="paper"), minutes=0.5, seed=1))

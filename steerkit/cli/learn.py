@@ -36,8 +36,7 @@ from steerkit.learning import report, rundir
 from steerkit.learning.data.from_log import Excitation
 from steerkit.learning.experiment import SAFETY_SIGNALS, SIGNALS, Experiment
 from steerkit.learning.learn import UPDATES, from_log
-from steerkit.learning.pictures.film import film_of
-from steerkit.learning.pictures.run import draw_all
+from steerkit.learning.pictures import draw_all, film_of
 from steerkit.learning.settings import changed
 from steerkit.learning.settings import setting as named
 from steerkit.logs import ColumnMap, read_drive

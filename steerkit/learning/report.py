@@ -21,7 +21,7 @@ from steerkit.learning import rundir
 from steerkit.learning.data.distance import Distance, states_of
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learn import learn
-from steerkit.learning.pictures.data import beside_the_data
+from steerkit.learning.pictures import beside_the_data
 from steerkit.plots.drive import learning, round_driven
 from steerkit.plots.style import save
 from steerkit.scenario import drive as evaluate

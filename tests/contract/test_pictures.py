@@ -23,11 +23,11 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.gym.frames import Painter
 from steerkit.identification.fit import Identified, Prediction
+from steerkit.learning import pictures
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
 from steerkit.learning.nfq.rprop import new_net
-from steerkit.learning.pictures import policy, run
 from steerkit.logs.channels import Channel
 from steerkit.logs.contents import Contents, contents, picture
 from steerkit.logs.drive import Drive
@@ -70,7 +70,7 @@ AGAIN = Resimulated(
     **dict(vehicle=PASSAT, v=DRIVE.v, path=PATH, log=Log(T, STEERED, {}), compared=T > 5.0),
     **dict(driven=0.3 * np.sin(T + 0.1), a_y_driven=3.0 * np.sin(T)),
 )
-RECORD = run.Record(name="run", episodes=EPISODES, log=LOG, **PARTS)
+RECORD = pictures.Record(name="run", episodes=EPISODES, log=LOG, **PARTS)
 
 
 def painted() -> Any:
@@ -131,15 +131,15 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "rounds": lambda: drive.rounds_driven({"a": LOG, "b": LOG}, title="a"),
     "scene": lambda: seen(animation.Scene(*SCENE), animation.Scene.show, 9.0, 2.0).figure,
     "frame": lambda: painted().figure,
-    "map": lambda: policy.policy_map(NFQ, SCENARIO, visited=SEEN),
-    "curve": lambda: run.learning_curve(RECORD),
+    "map": lambda: pictures.policy_map(NFQ, SCENARIO, visited=SEEN),
+    "curve": lambda: pictures.learning_curve(RECORD),
     "log's drive": lambda: told(DRIVEN),
     "log without a drive": lambda: told(None),
     "resimulated": lambda: compared(AGAIN),
     "identified": lambda: FOUND.plot(PREDICTED),
     "fit": lambda: FOUND.plot(),
-    "replay": lambda: run.replay(RECORD, 2),
-    "replay of the last": lambda: run.replay(RECORD, 3),
+    "replay": lambda: pictures.replay(RECORD, 2),
+    "replay of the last": lambda: pictures.replay(RECORD, 3),
 }
 
 

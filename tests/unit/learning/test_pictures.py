@@ -11,8 +11,10 @@ import pytest
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
-from steerkit.learning.pictures.run import Record, draw_all, replay
+from steerkit.learning.pictures import Record, draw_all, replay
 from tests.support.short_run import FAST
+
+pytestmark = pytest.mark.usefixtures("without_layout")  # many pictures are drawn
 
 
 def course_of(figure: Any) -> Any:

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.simulation import Log
 from steerkit.learning.data.distance import SIGNALS, Distance, states_of
-from steerkit.learning.pictures.data import beside_the_data
+from steerkit.learning.pictures import beside_the_data
 from tests.support.modelled_car import driven
 
 

@@ -7,10 +7,11 @@ import pytest
 from matplotlib.colors import to_hex
 from PIL import Image
 
-from steerkit.learning.pictures.film import film_of, moments_of, with_heading
-from steerkit.learning.pictures.run import Record
+from steerkit.learning.pictures import Record, film_of, moments_of, with_heading
 from steerkit.plots.animation import Moments, Scene
 from steerkit.plots.style import COLOURS
+
+pytestmark = pytest.mark.usefixtures("without_layout")  # many pictures are drawn
 
 
 def test_a_film_has_its_length_and_every_picture_differs(kept: Path, tmp_path: Path) -> None:

@@ -8,9 +8,10 @@ import pytest
 
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.units import degrees_of, radians_of
-from steerkit.learning.pictures.policy import course_angle, policy_map, q_values, states
-from steerkit.learning.pictures.run import Record
+from steerkit.learning.pictures import Record, course_angle, policy_map, q_values, states
 from steerkit.scenario import Scenario
+
+pytestmark = pytest.mark.usefixtures("without_layout")  # many pictures are drawn
 
 
 def test_values_lead_to_the_actions_that_the_policy_takes(record: Record) -> None:

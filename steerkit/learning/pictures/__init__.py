@@ -1,1 +1,0 @@
-"""Pictures of learning: the paper's figures, a run, a policy."""
