@@ -8,7 +8,7 @@ import numpy as np
 import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike
 
-from steerkit.metrics.signals import Array
+from steerkit.diagram.maths import Array
 
 RESAMPLES = 9999
 CONFIDENCE = 0.95

@@ -29,13 +29,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.signal import butter, filtfilt
 
+from steerkit.diagram.maths import Array
 from steerkit.identification import Drive, shipped_drives
 from steerkit.identification.ahead import HORIZONS, look_ahead
 from steerkit.identification.residual import Residual, learn_residual
@@ -45,7 +45,6 @@ from steerkit.plants.nonlinear_single_track import fiala
 from steerkit.vehicles import VW_PASSAT, G, Vehicle, scaled
 from steerkit.vehicles.fleet import drawn_car
 
-Array = NDArray[np.float64]
 NOISE = (0.02, 0.05, 0.1)
 DT, TRAIN, REST, FINE = 0.02, 30.0, 60.0, 10
 KNOWN = ("c_f", "c_r", "mu_f", "mu_r")

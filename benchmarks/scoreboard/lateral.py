@@ -23,7 +23,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -34,11 +33,11 @@ from steerkit.controllers.challenge import ChallengeController
 from steerkit.controllers.lateral import LateralMpc
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
+from steerkit.diagram.maths import Array
 from steerkit.diagram.simulation import Log
 from steerkit.scenario import Scenario
 from steerkit.scenario.lateral import MOVES, LateralTarget, lateral_controller, lateral_cost_of, lateral_drive
 
-Array = NDArray[np.float64]
 CAR = Scenario(
     name="torque",
     vehicle={**CARS["torque"].vehicle, "plant": CARS["torque"].plant},

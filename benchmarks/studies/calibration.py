@@ -26,11 +26,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.wrong_belief import driven, wrong_belief
 from steerkit.compiled import Backend, compile
 from steerkit.diagram.block import Block
+from steerkit.diagram.maths import Array
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.estimate import estimated as quantity
 from steerkit.estimators.single_track_filter import SingleTrackFilter
@@ -40,8 +40,6 @@ from steerkit.scenario import Scenario, fleet_scenario
 from steerkit.scenario.drive import assembled, controller
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle
-
-Array = NDArray[np.float64]
 
 CLOSE = 0.010
 """Error of delay + lag that is wanted [s]."""

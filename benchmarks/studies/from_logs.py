@@ -38,7 +38,7 @@ from steerkit.learning.learn import UPDATES, from_log
 from steerkit.logs import Drive, read_drive, shipped_drives
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller
-from steerkit.scenario.fleet import fleet_scenario, straightest
+from steerkit.scenario.scenario import fleet_scenario, straightest
 from steerkit.task import DT
 
 CARS_FROM, COURSES_FROM = 8000, 5000

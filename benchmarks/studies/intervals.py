@@ -21,11 +21,11 @@ from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from steerkit.diagram.maths import Array
 from steerkit.estimators.estimate import NORMAL_95, estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
@@ -36,7 +36,6 @@ from steerkit.logs.drive import LEAST, SETTLE
 from steerkit.task import DT as TASK_DT
 from steerkit.vehicles import VW_PASSAT, Vehicle
 
-Array = NDArray[np.float64]
 PARTS = ("made", "shipped", "online")
 NAMES = ("steer_ratio", "ratio_wheelbase", "understeer_gradient", "delay_lag", "offset")
 G, DT, SECONDS, SHIFT = 9.81, 0.02, 120.0, 0.2

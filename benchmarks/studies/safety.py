@@ -59,7 +59,7 @@ from steerkit.metrics.signals import largest
 from steerkit.scenario import Scenario
 from steerkit.scenario.catalogue import make_safety
 from steerkit.scenario.drive import assembled
-from steerkit.scenario.fleet import straightest
+from steerkit.scenario.scenario import straightest
 from steerkit.task import DT, STOP, TRIP
 
 KINDS = ("left", "right", "bang-bang", "slow bang-bang", "away", "untrained net", "chance")

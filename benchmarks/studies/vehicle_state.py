@@ -29,6 +29,7 @@ from scipy.stats import chi2
 from benchmarks.wrong_belief import driven
 from benchmarks.wrong_belief import unlike as unlike_car
 from steerkit.compiled import Backend, compile
+from steerkit.diagram.maths import Array
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
 from steerkit.estimators.vehicle_state import VehicleState
@@ -36,7 +37,6 @@ from steerkit.metrics.signals import rates, rms
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive, drive_loop
 
-Array = NDArray[np.float64]
 CONTROLLERS = ("mpc", "stanley", "lqr")
 DRIVES = (("paper", 101), ("random-2101", 102), ("random-2102", 103), ("genesis-rfs", 104), ("sweeping-2103", 105))
 """Course and seed of each drive."""

@@ -6,7 +6,7 @@ The positions carry 2 cm of noise; curvature, which the steering wheel has to fo
 import numpy as np
 
 from steerkit import Path
-from steerkit.plots.course import plot_course
+from steerkit.plots.drive import plot_course
 
 rng = np.random.default_rng(0)
 turn = np.linspace(0.0, 2.0 * np.pi, 240, endpoint=False)

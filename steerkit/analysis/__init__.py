@@ -15,10 +15,10 @@ from steerkit.analysis.linear import break_at as break_at
 from steerkit.analysis.linear import linearise as linearise
 from steerkit.analysis.linear import margins as margins
 from steerkit.analysis.linear import over as over
+from steerkit.analysis.linear import plot_bode as plot_bode
+from steerkit.analysis.linear import plot_over as plot_over
+from steerkit.analysis.linear import plot_steps as plot_steps
 from steerkit.analysis.linear import step_response as step_response
 from steerkit.analysis.period import Tap as Tap
-from steerkit.analysis.pictures import plot_bode as plot_bode
-from steerkit.analysis.pictures import plot_over as plot_over
-from steerkit.analysis.pictures import plot_steps as plot_steps
 from steerkit.analysis.systems import FromControl as FromControl
 from steerkit.analysis.systems import to_control as to_control

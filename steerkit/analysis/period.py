@@ -5,17 +5,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, set_ports, state_like
+from steerkit.diagram.maths import Array
 
 if TYPE_CHECKING:
     from steerkit.diagram.loop import Loop, LoopState
     from steerkit.diagram.simulation import Signal
-
-Array = NDArray[np.float64]
 
 _STEP = 1e-6  # of the central differences, times 1 + |value|: error about 1e-10
 

@@ -10,9 +10,10 @@ import control
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit.analysis.period import Array, Period, signal_name
+from steerkit.analysis.period import Period, signal_name
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, set_ports
+from steerkit.diagram.maths import Array
 
 if TYPE_CHECKING:
     from steerkit.diagram.loop import Loop, LoopState

@@ -27,7 +27,7 @@ from steerkit.diagram.units import FACTORS, degrees_of, radians_of
 from steerkit.paths.courses import course
 from steerkit.paths.path import Path
 from steerkit.vehicles import Vehicle, vehicle
-from steerkit.vehicles.file import vehicle_of
+from steerkit.vehicles.parameters import vehicle_of
 
 FORMAT = "steerkit car 1"
 TABLES = (

@@ -24,7 +24,7 @@ from steerkit.logs.tables import write_mf4
 from steerkit.scenario import Scenario
 from steerkit.scenario.lateral import lateral_controller
 from steerkit.vehicles import vehicle
-from steerkit.vehicles.file import tables_of
+from steerkit.vehicles.parameters import tables_of
 
 LAYOUTS = {".json": "foxglove", ".xml": "plotjuggler"}
 

@@ -15,8 +15,7 @@ from rich.table import Table
 
 from steerkit import identification as ident
 from steerkit.cli.log import Columns, Dbc, Map, SteerRatio, column_map
-from steerkit.cli.options import Picture, Report, written
-from steerkit.cli.page import write_page
+from steerkit.cli.options import Picture, Report, write_page, written
 from steerkit.identification.ahead import HORIZONS, QUANTITIES, look_ahead
 from steerkit.identification.fit import intervals
 from steerkit.plots.style import save

@@ -1,6 +1,7 @@
-"""The commands `steerkit courses` and `steerkit vehicles`: what can be driven, and with what."""
+"""The commands `steerkit courses`, `vehicles` and `new`: what can be driven, with what, and files to begin with."""
 
 import json
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,12 +11,14 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from steerkit._support.errors import known, require
+from steerkit._support.files import write_text
 from steerkit.cli import WORDS
 from steerkit.cli.options import Machine, Picture, written
 from steerkit.paths import importers
 from steerkit.paths.courses import course, names
 from steerkit.paths.path import Path as CoursePath
-from steerkit.plots.course import plot_course
+from steerkit.plots.drive import plot_course
 from steerkit.plots.style import save
 from steerkit.vehicles import VEHICLES, Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
@@ -162,3 +165,21 @@ def vehicles(
         steering = ("-", "-", "-") if interface is None else (f"{waits:.2f}", interface, f"{slowest:.1f}")
         table.add_row(name, f"{mass:.0f}", f"{wheelbase:.2f}", f"{ratio:.1f}", *steering)
     Console(width=max(80, Console().width)).print(table)  # a narrower terminal would cut off words
+
+
+_FILES: dict[str, list[str]] = WORDS["new"]
+"""By kind: its file among the templates, and what to call with it."""
+
+
+def new(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help=f"One of {', '.join(_FILES)}.")],
+    out: Annotated[Path | None, typer.Option(help="Where to write it (my_KIND, with its ending).")] = None,
+) -> None:
+    """Write a file that works as it is, to be changed into your own: a controller, agent, vehicle, course, ..."""
+    name, after = _FILES[known(kind, _FILES, "new")]
+    ending = Path(name.removesuffix(".txt")).suffix
+    place = out or Path(f"my_{kind}{ending}")
+    require(place.suffix == ending, f"--out {place}", f"a {kind}'s file ends in {ending}")
+    require(not place.exists(), str(place), "is there already and is left as it is; another name: --out")
+    write_text(place, (files("steerkit.cli") / "templates" / name).read_text(encoding="utf-8"))
+    print(f"wrote {place}; next: {after.format(place)}")

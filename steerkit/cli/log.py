@@ -16,7 +16,7 @@ from steerkit.learning import rundir
 from steerkit.logs import ColumnMap, read_drive
 from steerkit.logs.contents import contents, picture
 from steerkit.logs.reading import read_log
-from steerkit.plots.log import telling
+from steerkit.plots.diagram import telling
 from steerkit.plots.style import save
 
 Dbc = Annotated[

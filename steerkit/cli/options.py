@@ -1,9 +1,11 @@
-"""Options that commands share, and what they mean together: a scenario, or a session on a car."""
+"""Options that commands share, and what they mean together: a scenario, a session on a car; and their reports."""
 
 import contextlib
 import functools
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import shlex
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -13,8 +15,9 @@ import typer
 
 from steerkit._support.console import console
 from steerkit._support.errors import known, require
-from steerkit._support.files import read_text
+from steerkit._support.files import read_text, write_text
 from steerkit.cli import WORDS
+from steerkit.plots.page import document, html, picture
 from steerkit.scenario import CONDITIONS, Scenario
 from steerkit.scenario.parts import Driver, profile_in
 from steerkit.scenario.scenario import read_scenario
@@ -264,3 +267,20 @@ def car_options(options: CarOptions, config: str) -> Any:
 
     shared = {f.name for f in fields(Options)} & vars(options).keys()
     return Options(config=config, **{name: getattr(options, name) for name in shared})
+
+
+def write_page(file: Path, console: Any, title: str, verdict: Iterable[str], figures: Iterable[Any]) -> None:
+    """Write the report of a command.
+
+    console: a `rich.console.Console(record=True)` to which it printed. verdict: sentences. figures: of matplotlib.
+    """
+    sentences = "".join(f"<li>{html(sentence)}</li>" for sentence in verdict)
+    pictures = "\n".join(picture(figure, alt=title) for figure in figures)
+    printed = console.export_html(inline_styles=True, code_format="{code}")
+    page = document(
+        title,
+        f"<h1>{html(title)}</h1>\n<ul>{sentences}</ul>\n{pictures}\n<pre>{printed}</pre>",
+        command=shlex.join(["steerkit", *sys.argv[1:]]),
+        closing="Simulated or computed from the recording; no car was driven.",
+    )
+    write_text(file, page)

@@ -9,8 +9,7 @@ from rich.table import Table
 
 from steerkit.cli import WORDS
 from steerkit.cli.log import Columns, Map, column_map
-from steerkit.cli.options import Machine, Picture, Quiet, Report
-from steerkit.cli.page import write_page
+from steerkit.cli.options import Machine, Picture, Quiet, Report, write_page
 from steerkit.identification import identify
 from steerkit.logs import read_drive
 from steerkit.logs import resimulate as again

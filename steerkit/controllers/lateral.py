@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import number, require, require_within
-from steerkit.controllers.lqr import Array
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
-from steerkit.diagram.maths import Scalar
+from steerkit.diagram.maths import Array, Scalar
 
 DT = 0.1
 """Sample time of the task [s]: 10 Hz."""

@@ -6,17 +6,15 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.limits import LimitedLaw, limited
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
-from steerkit.diagram.maths import Scalar, Table
+from steerkit.diagram.maths import Array, Scalar, Table
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle
 
-Array = NDArray[np.float64]
 Matrices = Callable[[float], tuple[Any, Any]]
 """v [m/s] -> A (2, 2), B (2,) of (beta, r)' = A (beta, r) + B delta; `LinearSingleTrack.matrices` is one."""
 

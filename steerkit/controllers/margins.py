@@ -6,14 +6,13 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.controllers.lqr import LqrDesign, Matrices
 from steerkit.diagram.block import Block, entries_of
+from steerkit.diagram.maths import Array
 from steerkit.vehicles import Vehicle
 
-Array = NDArray[np.float64]
 _SEEN = ("e", "e_dot", "psi_e", "beta", "r", "delta_sw_meas")
 _SMALL = 1e-5  # m, rad, ...: step of the differences; no limit of a law acts that close to a straight path
 

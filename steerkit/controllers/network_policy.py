@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerkit._support.errors import known, number, require
 from steerkit._support.files import read_arrays, write_arrays
@@ -14,9 +13,9 @@ from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY, Policy, check_l
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
+from steerkit.diagram.maths import Array
 from steerkit.diagram.units import radians_of
 
-Array = NDArray[np.float64]
 BOUND = 10.0
 """Scaled inputs are cut off here, as the environments of `steerkit.gym` cut them."""
 

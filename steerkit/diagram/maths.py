@@ -13,7 +13,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 Scalar = Any
 """A float, an `(N,)` array (one entry a car) or a symbol, of a trace or of CasADi."""
 

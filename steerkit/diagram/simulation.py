@@ -127,7 +127,7 @@ class Log(Mapping[str, np.ndarray]):
 
     def plot(self, *signals: Signal) -> Any:
         """Plot signals over time, one panel a unit; returns the matplotlib figure."""
-        from steerkit.plots.log import plot_log
+        from steerkit.plots.diagram import plot_log
 
         return plot_log(self, signals)
 
@@ -139,7 +139,7 @@ class Log(Mapping[str, np.ndarray]):
 
     def _repr_png_(self) -> bytes | None:
         """Some signals over time, for a notebook."""
-        from steerkit.plots.log import telling
+        from steerkit.plots.diagram import telling
         from steerkit.plots.style import png
 
         return png(self.plot(*telling(self))) if len(self.t) > 1 else None

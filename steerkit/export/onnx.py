@@ -13,8 +13,8 @@ from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import ACTION, COLUMNS, UNITS
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram.maths import Array
 
-Array = NDArray[np.float64]
 OPSET = 17
 
 

@@ -21,7 +21,7 @@ for _name, _kwargs in (("TrackSteering", {}), ("TrackSteeringContinuous", {"acti
     if f"steerkit/{_name}-v0" not in gymnasium.registry:
         gymnasium.register(
             id=f"steerkit/{_name}-v0",
-            entry_point="steerkit.gym.env:TrackSteering",
+            entry_point="steerkit.gym.vector_env:TrackSteering",
             vector_entry_point="steerkit.gym.vector_env:TrackSteeringVector",
             kwargs=_kwargs,
         )

@@ -12,9 +12,10 @@ from steerkit._support import native
 from steerkit._support.errors import require
 from steerkit.compiled.trace import TraceError
 from steerkit.diagram.loop import LoopState
+from steerkit.diagram.maths import Array
 from steerkit.gym.episodes import Episodes
 from steerkit.gym.starts import Draw, each
-from steerkit.gym.task import Array, Task, require_finite
+from steerkit.gym.task import Task, require_finite
 
 Backend = Literal["python", "c"]
 

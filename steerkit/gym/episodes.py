@@ -17,9 +17,9 @@ from steerkit._support.random import RandomState
 from steerkit.compiled.c_code import function_source, head_source
 from steerkit.compiled.trace import Tick, Trace, trace, traced
 from steerkit.controllers.network_policy import BOUND
-from steerkit.diagram.maths import Table
+from steerkit.diagram.maths import Array, Table
 from steerkit.gym.starts import Draw, reseeded
-from steerkit.gym.task import Array, Task, require_finite
+from steerkit.gym.task import Task, require_finite
 
 _HOW = {AutoresetMode.NEXT_STEP: 0, AutoresetMode.SAME_STEP: 1, AutoresetMode.DISABLED: 2}
 _A_THREAD = 256  # cars for which a second thread is worth its start

@@ -20,6 +20,7 @@ from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.block import Block, Out, State
 from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import Array
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
 from steerkit.gym.starts import Starts
@@ -31,8 +32,6 @@ from steerkit.scenario.catalogue import ELEMENTS, make_element, make_safety
 from steerkit.scenario.drive import assembled
 from steerkit.scenario.scenario import read_scenario
 from steerkit.task import STOP, STOP_DEG, TRIP
-
-Array = NDArray[np.float64]
 
 ACTIONS: dict[str, tuple[tuple[float, ...] | None, str]] = {
     "i-doe": (IDOE_ACTIONS, "integrator"),

@@ -29,8 +29,7 @@ from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plots.style import COLOURS, new_figure, style
 from steerkit.vehicles import Vehicle, vehicle
-from steerkit.vehicles.file import vehicle_text
-from steerkit.vehicles.parameters import G
+from steerkit.vehicles.parameters import G, vehicle_text
 
 BLOCK, BLOCKS = 2.0, 8
 """Length of the blocks, in times after which the residual's autocorrelation has died out; and how many at least."""

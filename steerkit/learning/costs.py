@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.policy import DOE, R_E, E, V
 from steerkit.diagram import maths as m
+from steerkit.diagram.maths import Array
 from steerkit.task import DT, GOAL, TRIP
 
 _WELL = 25.0
 """Width of a well over the median |e| of the driving [1]: with sensors as in `hard` conditions, the widest."""
-Costs = tuple[NDArray[np.float64], NDArray[np.bool_]]
-Array = NDArray[np.float64]
-
+Costs = tuple[Array, NDArray[np.bool_]]
 
 Cost = Callable[[Array, Array, Array], Costs]
 """Of s, a, s_next: the cost (n,) in [0, 1] and terminal (n,) of n transitions."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy, mean_of
 from steerkit.controllers.policy import DOE, PSI_E, E, V
+from steerkit.diagram.maths import Array
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning import rundir
@@ -33,9 +34,6 @@ from steerkit.task import GOAL, TRIP
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-Array = NDArray[np.float64]
 
 
 def q_values(policy: NfqPolicy, s: Array) -> Array:
@@ -174,7 +172,6 @@ def beside_the_data(record: Transitions, log: Log, apart: Distance, *, title: st
 
 WINDOW = 5.0
 """Time over which RMS e is taken in a learning curve [s]."""
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -330,7 +327,7 @@ def with_heading(record: Record) -> Log:
     return Log(log.t, {**log.signals, "car.psi": psi}, {**log.units, "car.psi": "rad"})
 
 
-def moments_of(record: Record, until: float, lasts: float, fps: float) -> NDArray[np.float64]:
+def moments_of(record: Record, until: float, lasts: float, fps: float) -> Array:
     """Driving time of each picture [s]: the beginning in real time, if that takes up to half the film; else evenly."""
     t = record.log.t
     again = t[record.learning & (t > t[record.failed_at[0]])] if len(record.failed_at) else t[:0]

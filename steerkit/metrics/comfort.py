@@ -6,7 +6,8 @@ import numpy as np
 import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike
 
-from steerkit.metrics.signals import Array, lateral_jerk, rms, samples, step
+from steerkit.diagram.maths import Array
+from steerkit.metrics.signals import lateral_jerk, rms, samples, step
 
 R79_CUTOFF = 0.5
 """Cut-off of the filter of lateral acceleration [Hz]; source: UN R79, 03 series, annex 8."""

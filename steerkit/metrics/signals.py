@@ -4,12 +4,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from steerkit._support.errors import require
+from steerkit.diagram.maths import Array
 from steerkit.diagram.units import degrees_of
 
-Array = NDArray[np.float64]
 JERK_WINDOW = 0.5
 """Length of the moving average of lateral jerk [s]; source: ISO 11270:2014, UN R79."""
 

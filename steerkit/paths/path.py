@@ -8,14 +8,12 @@ from pathlib import Path as File
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from steerkit._support.files import read_text, write_text
 from steerkit.diagram import maths as m
-from steerkit.diagram.maths import Scalar, Table
+from steerkit.diagram.maths import Array, Scalar, Table
 from steerkit.paths.waypoints import check_metres, checked, placed, read_columns, ring, travelled
-
-Array = NDArray[np.float64]
 
 _DEGREE = 5  # curvature and its first two derivatives are continuous
 _FEWEST_SEGMENTS = 12  # a periodic quintic needs some

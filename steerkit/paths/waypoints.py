@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from steerkit._support.errors import require
 from steerkit._support.quantities import QUANTITIES, SPELT, UNITS, ended_unit, place
 from steerkit._support.tables import parted, text_table
+from steerkit.diagram.maths import Array
 from steerkit.diagram.units import FACTORS
-
-Array = NDArray[np.float64]
 
 _FEWEST_CLOSED = 6
 

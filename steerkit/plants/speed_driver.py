@@ -12,8 +12,8 @@ from steerkit._support.errors import number, require, require_within
 from steerkit._support.random import normals, seed_state
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
-from steerkit.diagram.maths import Scalar, Table
-from steerkit.paths.path import Array, Path
+from steerkit.diagram.maths import Array, Scalar, Table
+from steerkit.paths.path import Path
 from steerkit.task import A_Y_MAX
 
 _STREAM = 1  # of `seed_state`: the drivers'

@@ -13,8 +13,9 @@ from steerkit._support.errors import check_numbers, known, nearest, number, requ
 from steerkit._support.files import read_toml
 from steerkit.controllers.open_loop import OpenLoop
 from steerkit.diagram.block import Block
+from steerkit.diagram.maths import Array
 from steerkit.diagram.units import radians_of
-from steerkit.paths.path import Array, Path
+from steerkit.paths.path import Path
 from steerkit.scenario.parts import Course
 from steerkit.vehicles import Vehicle
 

@@ -11,10 +11,9 @@ from steerkit._support.errors import require
 from steerkit.compiled import TraceError, compile
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.diagram.loop import Loop
-from steerkit.diagram.maths import Table
+from steerkit.diagram.maths import Array, Table
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.paths.courses import straight
-from steerkit.paths.path import Array
 from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
@@ -23,7 +22,7 @@ from steerkit.proving.runs import Run
 from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import steering_loop
 from steerkit.scenario.catalogue import make_controller
-from steerkit.scenario.fleet import straightest
+from steerkit.scenario.scenario import straightest
 from steerkit.vehicles.fleet import FleetCar
 
 DT = 0.01

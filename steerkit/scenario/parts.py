@@ -12,13 +12,14 @@ import numpy as np
 from steerkit._support.errors import check_numbers, known, number, require
 from steerkit._support.files import read_text
 from steerkit.diagram.block import Block
+from steerkit.diagram.maths import Array
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.paths.courses import course, lane_change, names, random_course, recorded_speed
 from steerkit.paths.importers.course import course_of
 from steerkit.paths.importers.reading import KINDS, Address, is_road, read_course
-from steerkit.paths.path import Array, Path
+from steerkit.paths.path import Path
 from steerkit.paths.waypoints import mended, read_columns
 from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
@@ -34,7 +35,7 @@ from steerkit.plants.steering_actuator import (
 from steerkit.scenario.catalogue import plant_kind
 from steerkit.task import A_Y_MAX, DT
 from steerkit.vehicles import G, Vehicle, vehicle, vehicle_of
-from steerkit.vehicles.file import tables_of
+from steerkit.vehicles.parameters import tables_of
 
 RANDOM_COURSES = {"random": (500.0, 0.1), "sweeping": (2000.0, 0.01)}
 """Length [m] and largest curvature [1/m] of random courses, by what their names begin with."""

@@ -4,9 +4,18 @@ import re
 
 from steerkit._support.errors import nearest
 from steerkit._support.files import read_text
-from steerkit.vehicles.file import vehicle_of
 from steerkit.vehicles.fleet import FleetCar, drawn_car, fleet
-from steerkit.vehicles.parameters import BMW_320I, FORD_ESCORT, VEHICLES, VW_PASSAT, G, Vehicle, require_vehicle, scaled
+from steerkit.vehicles.parameters import (
+    BMW_320I,
+    FORD_ESCORT,
+    VEHICLES,
+    VW_PASSAT,
+    G,
+    Vehicle,
+    require_vehicle,
+    scaled,
+    vehicle_of,
+)
 
 __all__ = [
     "BMW_320I",

@@ -17,7 +17,7 @@ from matplotlib.collections import Collection
 from matplotlib.patches import Patch
 
 from steerkit.analysis import linearise, over
-from steerkit.analysis.pictures import plot_bode, plot_over, plot_steps
+from steerkit.analysis.linear import plot_bode, plot_over, plot_steps
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import Log, simulate
@@ -33,7 +33,7 @@ from steerkit.logs.contents import Contents, contents, picture
 from steerkit.logs.drive import Drive
 from steerkit.logs.reading import RawLog
 from steerkit.logs.resimulate import Resimulated, compared
-from steerkit.plots import animation, course, diagram, drive, log, style
+from steerkit.plots import animation, diagram, drive, style
 from steerkit.scenario import Scenario
 from tests.support.diagrams import LOOPS, small
 from tests.support.places import ROOT
@@ -120,9 +120,9 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "margins": lambda: margins(plot_over),
     "bode": lambda: margins(lambda points: plot_bode({name: at[1].open_loop for name, at in points.items()})),
     "steps": lambda: plot_steps({"a": linearise(steered(5.0), **STEPS)}, 8.0, ylabel="e [m]"),
-    "log": lambda: log.plot_log(simulate(small(), 1.0, batch=7), ["wave.v", "gain.y", "angle.angle"]),
+    "log": lambda: diagram.plot_log(simulate(small(), 1.0, batch=7), ["wave.v", "gain.y", "angle.angle"]),
     "figure": lambda: style.new_figure(2, map_beside=True, title="a")[0],
-    "course": lambda: course.plot_course(PATH),
+    "course": lambda: drive.plot_course(PATH),
     "trace": lambda: drive.trace(LOG, title="a", seconds=10.0),
     "learning": lambda: drive.learning(LOG, title="a"),
     "learning's begin": lambda: drive.learning(LOG, title="a", seconds=10.0),

@@ -29,7 +29,7 @@ from steerkit.cli import app
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.vehicles import vehicle
-from steerkit.vehicles.file import vehicle_text
+from steerkit.vehicles.parameters import vehicle_text
 from tests.support.places import ROOT
 from tests.support.recordings import small
 

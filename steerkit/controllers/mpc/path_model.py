@@ -9,15 +9,14 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from steerkit._support.errors import require
 from steerkit.controllers.lqr import cost_to_go
 from steerkit.diagram import maths as m
+from steerkit.diagram.maths import Array
 from steerkit.estimators.vehicle_state import sway_is_speed
 
-Array = NDArray[np.float64]
 NX = 6
 """States of a stage: e, psi_e, sway, r, wheel angle, command."""
 V_LOW, V_HIGH, V_STEP = 0.5, 40.0, 0.25

@@ -9,8 +9,9 @@ from typing import Any
 import casadi
 import numpy as np
 
-from steerkit.controllers.mpc.path_model import KAPPA_HIGH, Array
+from steerkit.controllers.mpc.path_model import KAPPA_HIGH
 from steerkit.controllers.mpc.qp import DATA
+from steerkit.diagram.maths import Array
 
 NOTHING, PREDICTION, SOLUTION = 0.0, 1.0, 2.0
 """What is asked of a programme."""

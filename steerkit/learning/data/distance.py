@@ -5,16 +5,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.controllers.policy import COLUMNS
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram.maths import Array
 from steerkit.diagram.simulation import Log
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import SPREAD
-
-Array = NDArray[np.float64]
 
 REACH = 2.0 * SPREAD
 """Distance up to which states are imagined about the recorded ones: see `steerkit.learning.nfq.model.imagine`."""

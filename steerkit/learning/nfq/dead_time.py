@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from steerkit.controllers.delay_compensator import ANSWER, FELT, LONGEST, UNLIMITED, DelayCompensator
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram.maths import Array
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import (
     CENTRED,
@@ -89,8 +90,6 @@ BETTER = 0.95
 
 _LEAST = (-np.inf, 0.0, 0.0, 0.0, -np.inf)
 """Of a fast car's `keep`, gains and constant."""
-
-Array = NDArray[np.float64]
 
 
 class Process(NamedTuple):

@@ -10,10 +10,9 @@ from steerkit._support.errors import require
 from steerkit.controllers.delay_compensator import LENGTH, SLOWEST, UNLIMITED, CourseMotion, SteeringAnswer, felt, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
 from steerkit.controllers.state_description import StateDescription
+from steerkit.diagram.maths import Array
 from steerkit.learning.data.transitions import Transitions
 from steerkit.task import DT, TRIP
-
-Array = NDArray[np.float64]
 
 KAPPA = len(COLUMNS)
 """In recorded states, the column of the path's curvature, where there is one."""

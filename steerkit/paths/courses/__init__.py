@@ -17,7 +17,7 @@ import numpy as np
 from steerkit._support import native
 from steerkit._support.errors import known
 from steerkit._support.files import read_npz, write_npz
-from steerkit.diagram.maths import Table
+from steerkit.diagram.maths import Array, Table
 from steerkit.paths.courses.shapes import bends as bends
 from steerkit.paths.courses.shapes import circle as circle
 from steerkit.paths.courses.shapes import curvature_step as curvature_step
@@ -27,7 +27,7 @@ from steerkit.paths.courses.shapes import paper
 from steerkit.paths.courses.shapes import random_course as random_course
 from steerkit.paths.courses.shapes import slalom as slalom
 from steerkit.paths.courses.shapes import straight as straight
-from steerkit.paths.path import Array, Path
+from steerkit.paths.path import Path
 from steerkit.paths.waypoints import read_columns
 
 

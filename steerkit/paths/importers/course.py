@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
+from steerkit.diagram.maths import Array
 from steerkit.paths.path import Path
 from steerkit.paths.waypoints import check_stated, distances, placed, read_columns, stated, travelled
-
-Array = NDArray[np.float64]
 
 TIGHTEST = 4.1
 """Tightest radius that is driven [m], unless a car is named: the shipped Passat's, its wheel at the stop."""

@@ -9,15 +9,13 @@ from itertools import pairwise
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steerkit._support.errors import require
+from steerkit.diagram.maths import Array
 from steerkit.paths.importers.course import Line
 from steerkit.paths.importers.network import Map, Piece, require_some
 from steerkit.paths.importers.xml_stream import get, number, records, shown, value
 from steerkit.paths.waypoints import check_gps, distances, east_north, travelled
-
-Array = NDArray[np.float64]
 
 KMH = 1.0 / 3.6
 _UNITS = {"": KMH, "km/h": KMH, "kmh": KMH, "kph": KMH, "mph": 0.44704, "m/s": 1.0, "knots": 1852.0 / 3600.0}

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit.paths.importers.course import Array, Line
+from steerkit.diagram.maths import Array
+from steerkit.paths.importers.course import Line
 from steerkit.paths.importers.tracks import Track
 
 _GAP, _TOLD, _KINK = 0.5, 0.05, 0.8

@@ -11,14 +11,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
-from numpy.typing import NDArray
 
 from steerkit._support.errors import require
+from steerkit.diagram.maths import Array
 from steerkit.paths.importers.course import Line
 from steerkit.paths.importers.network import Map, Piece, require_some
 from steerkit.paths.importers.xml_stream import get, number, records, shown
-
-Array = NDArray[np.float64]
 
 STEP = 0.5
 """A lane's centre has a point so often [m]."""

@@ -13,13 +13,13 @@ import numpy as np
 
 from steerkit._support.errors import known, require
 from steerkit._support.files import opened, read_text, refuse_workbook
+from steerkit.diagram.maths import Array
 from steerkit.paths.importers import lanelets, tracks
 from steerkit.paths.importers.course import TIGHTEST, Course, Line, along, laid, path_in
 from steerkit.paths.importers.network import Map, Piece
 from steerkit.paths.importers.opendrive import opendrive
 from steerkit.paths.importers.tracks import EVER, rounds
 from steerkit.paths.importers.xml_stream import root_of
-from steerkit.paths.path import Array
 from steerkit.paths.waypoints import distances, placed, read_columns, said_of, travelled
 
 _TABLE = tomllib.loads(FilePath(__file__).with_suffix(".toml").read_text(encoding="utf-8"))

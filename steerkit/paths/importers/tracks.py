@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from steerkit._support.errors import require
 from steerkit._support.files import read_text
 from steerkit._support.tables import seconds_of
+from steerkit.diagram.maths import Array
 from steerkit.paths.importers.course import Line, distinct
 from steerkit.paths.importers.xml_stream import finite, number, records, shown, value
 from steerkit.paths.waypoints import (
@@ -29,8 +30,6 @@ from steerkit.paths.waypoints import (
     stray_ends,
     travelled,
 )
-
-Array = NDArray[np.float64]
 
 
 class Track:

@@ -19,7 +19,7 @@ from steerkit.plants.steering_actuator import (
     steering_of,
 )
 from steerkit.vehicles import VW_PASSAT
-from steerkit.vehicles.file import vehicle_text
+from steerkit.vehicles.parameters import vehicle_text
 from tests.support.stepped import run
 
 

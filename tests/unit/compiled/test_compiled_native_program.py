@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit import compiled
 from steerkit._support import native
-from steerkit.compiled import Compiled, TraceError, compile, native_program
+from steerkit.compiled import Compiled, TraceError, compile
 from steerkit.compiled.trace import trace
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
@@ -141,12 +142,12 @@ def test_an_error_of_a_routine_is_raised_and_the_next_run_is_not_harmed(backend:
 def test_threads_share_all_cars_among_them(cars: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A part a core, or four; to the last bit what one thread drives."""
     program = compile(mixed_loop(0.05), backend="c")
-    monkeypatch.setattr(native_program.os, "sched_getaffinity", lambda _: range(3), raising=False)
+    monkeypatch.setattr(compiled.os, "sched_getaffinity", lambda _: range(3), raising=False)
     pools: list[int] = []
-    monkeypatch.setattr(native_program, "ThreadPoolExecutor", lambda n: pools.append(n) or ThreadPoolExecutor(n))
+    monkeypatch.setattr(compiled, "ThreadPoolExecutor", lambda n: pools.append(n) or ThreadPoolExecutor(n))
     alone = program.run(2.0, batch=cars)
     assert not pools, "too little to do for threads"
-    monkeypatch.setattr(native_program, "_ENOUGH", 0.0)
+    monkeypatch.setattr(compiled, "_ENOUGH", 0.0)
     shared = program.run(2.0, batch=cars)
     assert pools == [3]
     assert np.ptp(alone["mixed.noise"][5]) > 0.1

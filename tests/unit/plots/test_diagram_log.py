@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.simulation import Log, simulate
-from steerkit.plots.log import plot_log, telling
+from steerkit.plots.diagram import plot_log, telling
 from tests.support.diagrams import small
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from steerkit.paths.courses import random_course
 from steerkit.scenario import Scenario, fleet_scenario
-from steerkit.scenario.fleet import LAG, OFFSET_DEG, PLAY_DEG, straightest
+from steerkit.scenario.scenario import LAG, OFFSET_DEG, PLAY_DEG, straightest
 from steerkit.vehicles import drawn_car, fleet
 
 MANY = 400

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from steerkit.vehicles import vehicle
-from steerkit.vehicles.file import vehicle_text
+from steerkit.vehicles.parameters import vehicle_text
 from tests.support.recorded_cars import BASE
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.cli.new import _FILES
+from steerkit.cli.lists import _FILES
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.gym import Task
 

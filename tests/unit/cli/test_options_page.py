@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from steerkit.cli.page import write_page
+from steerkit.cli.options import write_page
 from steerkit.plots.style import new_figure
 from tests.support.command_lines import run
 

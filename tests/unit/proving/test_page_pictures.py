@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.units import degrees_of
-from steerkit.proving.pictures import pictures
+from steerkit.proving.page import pictures
 from tests.unit.proving.test_page import OF_EACH_KIND, of
 
 
