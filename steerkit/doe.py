@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 from steerkit._support.errors import number
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, State, set_ports
-from steerkit.diagram.wrapper import Wrapper
+from steerkit.diagram.block import Block, In, Out, State, Wrapper, set_ports
 from steerkit.task import STOP
 
 

@@ -43,7 +43,7 @@ from steerkit.identification.tyres import Tyres, accelerations, identify_tyres, 
 from steerkit.logs import read_drive
 from steerkit.plants.nonlinear_single_track import fiala
 from steerkit.vehicles import VW_PASSAT, G, Vehicle, scaled
-from steerkit.vehicles.fleet import drawn_car
+from steerkit.vehicles.parameters import drawn_car
 
 NOISE = (0.02, 0.05, 0.1)
 DT, TRAIN, REST, FINE = 0.02, 30.0, 60.0, 10

@@ -51,9 +51,8 @@ from steerkit._support.native import compiler
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.block import Block, In, Out, Wrapper
 from steerkit.diagram.simulation import Log, simulate
-from steerkit.diagram.wrapper import Wrapper
 from steerkit.export.c import export_c
 from steerkit.metrics.signals import largest
 from steerkit.scenario import Scenario

@@ -19,6 +19,6 @@ from steerkit.analysis.linear import plot_bode as plot_bode
 from steerkit.analysis.linear import plot_over as plot_over
 from steerkit.analysis.linear import plot_steps as plot_steps
 from steerkit.analysis.linear import step_response as step_response
-from steerkit.analysis.period import Tap as Tap
 from steerkit.analysis.systems import FromControl as FromControl
+from steerkit.analysis.systems import Tap as Tap
 from steerkit.analysis.systems import to_control as to_control

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from steerkit._support.errors import require
-from steerkit.analysis.period import Period, signal_name
-from steerkit.analysis.systems import port_names
+from steerkit.analysis.systems import Period, port_names, signal_name
 from steerkit.diagram.maths import Array
 from steerkit.diagram.units import degrees_of
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, styled

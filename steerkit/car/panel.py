@@ -286,7 +286,11 @@ def _keys() -> Any:
             return ""
         try:
             if termios.tcgetattr(fd)[3] & termios.ICANON:  # at first, and after another program had it
-                _by_key(fd)
+                tty.setcbreak(fd)
+                plain = termios.tcgetattr(fd)
+                plain[0] &= ~(termios.IXON | termios.IXOFF)  # Ctrl-S is a key like others, and does not stop the screen
+                plain[6][termios.VSUSP] = b"\0"  # nor does Ctrl-Z stop the program, which could not let go then
+                termios.tcsetattr(fd, termios.TCSADRAIN, plain)
             ready, _, _ = select.select([fd], [], [], seconds)
             if not ready:
                 return ""
@@ -301,15 +305,6 @@ def _keys() -> Any:
         with contextlib.suppress(termios.error):  # of a terminal that is gone
             if _in_foreground():
                 termios.tcsetattr(fd, termios.TCSANOW, before)
-
-
-def _by_key(fd: int) -> None:
-    """Have the terminal give each key at once, unseen."""
-    tty.setcbreak(fd)
-    plain = termios.tcgetattr(fd)
-    plain[0] &= ~(termios.IXON | termios.IXOFF)  # Ctrl-S is a key like others here, and does not stop the screen
-    plain[6][termios.VSUSP] = b"\0"  # nor does Ctrl-Z stop the program, which could not let go then
-    termios.tcsetattr(fd, termios.TCSADRAIN, plain)
 
 
 def stream(link: CarClient, server: Any, *, rate: float = 20.0) -> None:

@@ -227,8 +227,11 @@ class Recording:
             else:
                 if item is None:
                     break
-                for line in item:
-                    self._add(*line)
+                for topic, values in item:
+                    data = json.dumps({k: _plain(v) for k, v in values.items()}, separators=(",", ":")).encode()
+                    if self._begun is None:
+                        self._begun = values["t"]
+                    self._written.add(topic, self._epoch + round((values["t"] - self._begun) * 1e9), data)
             self._alive = now = time.monotonic()
             if now - synced > SYNC:
                 self._written.sync()
@@ -237,12 +240,6 @@ class Recording:
                 self._written.flush()
                 flushed = now
         self._written.close()
-
-    def _add(self, topic: str, values: dict[str, Any]) -> None:
-        data = json.dumps({k: _plain(v) for k, v in values.items()}, separators=(",", ":")).encode()
-        if self._begun is None:
-            self._begun = values["t"]
-        self._written.add(topic, self._epoch + round((values["t"] - self._begun) * 1e9), data)
 
 
 def _plain(value: Any) -> Any:

@@ -163,8 +163,9 @@ class Senses:
             if turned > WHEEL_RATE * gap + 0.2:
                 self._grave(t, f"the wheel jumped by {degrees_of(turned):.0f} deg")
         self.values |= values
-        if "r" in values:
-            self._reckon(arrived)
+        if "r" in values and {"psi", "v", "delta_sw", "v_kit"} <= self.values.keys():
+            moved = {name: self.values[name] for name in ("psi", "v", "r", "delta_sw", "v_kit")}
+            self._motion.moves(arrived, **moved)  # dead reckoning
         if "stamp" in values:
             self._track_delay(t, arrived, values["stamp"], gap)
         if "torque" in values:  # a weak one takes a third off: reports of another sender in between do not hide a hand
@@ -212,12 +213,6 @@ class Senses:
         assert origin is not None
         x, y, _ = pymap3d.geodetic2enu(values["lat"], values["lon"], 0.0, *map(math.radians, origin), 0.0, deg=False)
         return {**values, "x": float(x), "y": float(y)}
-
-    def _reckon(self, arrived: float) -> None:
-        """Add the way since the last speed, heading and yaw rate to what dead reckoning has."""
-        known, names = self.values, {"psi", "v", "r", "delta_sw", "v_kit"}
-        if names <= known.keys():
-            self._motion.moves(arrived, **{name: known[name] for name in names})
 
     def astray(self, t: float) -> float:
         """The time in which a pose that lies unnoticed could lead the car half a metre off [s], of the last second."""

@@ -22,7 +22,7 @@ from steerkit.plots.drive import plot_course
 from steerkit.plots.style import save
 from steerkit.vehicles import VEHICLES, Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
-from steerkit.vehicles.fleet import FleetCar
+from steerkit.vehicles.parameters import FleetCar
 
 ALSO: dict[str, str] = WORDS["courses"]
 """What else can be named, and what it is."""

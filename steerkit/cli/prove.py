@@ -34,7 +34,7 @@ from steerkit.scenario.scenario import read_scenario
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles import vehicle as vehicle_named
-from steerkit.vehicles.fleet import fleet
+from steerkit.vehicles.parameters import fleet
 
 RECORDED = {name: name for name in ("delta_sw", "v", "r", "a_y", "beta", "x", "y", "psi", "e")}
 RECORDED |= {"delta_sw_cmd": "command"}

@@ -99,7 +99,11 @@ class Graph:
         if op in ("in", "row", "call", "result"):
             return self._put((op, *operands))
         if op == "select":
-            return self._select(*operands)
+            condition, yes, no = self.boolean(operands[0]), self.number(operands[1]), self.number(operands[2])
+            fixed = self.value(condition)
+            if yes == no or (fixed is not None and fixed != 0.0):
+                return yes
+            return no if fixed is not None else self._put((op, condition, yes, no))
         if op in _LOGIC or op == "not":
             return self._logic(op, [self.boolean(i) for i in operands])
         numbers = [self.number(i) for i in operands]
@@ -145,13 +149,6 @@ class Graph:
             self._known[node] = len(self.nodes)
             self.nodes.append(node)
         return self._known[node]
-
-    def _select(self, condition: int, yes: int, no: int) -> int:
-        condition, yes, no = self.boolean(condition), self.number(yes), self.number(no)
-        fixed = self.value(condition)
-        if yes == no or (fixed is not None and fixed != 0.0):
-            return yes
-        return no if fixed is not None else self._put(("select", condition, yes, no))
 
     def _logic(self, op: str, parts: list[int]) -> int:
         values = [self.value(i) for i in parts]

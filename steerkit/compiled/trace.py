@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from steerkit.compiled.graph import FUNCTIONS_OF_MATHS, Graph, Symbol
-from steerkit.diagram.block import state_like
+from steerkit.diagram.block import Wrapper, state_like
 from steerkit.diagram.diagnostics import check_outputs, mistake, place_of
 from steerkit.diagram.loop import Loop, LoopState
 from steerkit.diagram.maths import Routine, Table
-from steerkit.diagram.wrapper import Wrapper
 
 
 class TraceError(TypeError):

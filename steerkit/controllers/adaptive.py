@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 from steerkit._support.errors import number, require, require_within
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, State, entries_of, take_ports, without_port
+from steerkit.diagram.block import Block, In, State, entries_of, require_ports, take_ports, without_port
 from steerkit.diagram.maths import Scalar
-from steerkit.diagram.wrapper import require_ports
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.task import STOP

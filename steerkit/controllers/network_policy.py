@@ -9,8 +9,7 @@ import numpy as np
 
 from steerkit._support.errors import known, number, require
 from steerkit._support.files import read_arrays, write_arrays
-from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY, Policy, check_layers
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY, Policy, StateDescription, check_layers
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
 from steerkit.diagram.maths import Array

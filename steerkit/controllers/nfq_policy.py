@@ -15,8 +15,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers import delay_compensator as ahead
 from steerkit.controllers.delay_compensator import DelayCompensator
-from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy, check_layers
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import ACTION, COLUMNS, LARGEST_POLICY, Policy, StateDescription, check_layers
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State, without_port
 from steerkit.diagram.units import radians_of

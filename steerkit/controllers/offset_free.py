@@ -5,10 +5,9 @@ from typing import Any
 
 from steerkit._support.errors import number
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, State
+from steerkit.diagram.block import Block, State, Wrapper
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.diagram.wrapper import Wrapper
 from steerkit.task import STOP, TRIP
 from steerkit.vehicles import Vehicle, require_vehicle
 

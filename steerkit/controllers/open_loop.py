@@ -8,9 +8,8 @@ import numpy as np
 
 from steerkit._support.errors import number, require, require_within
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import State
+from steerkit.diagram.block import State, Wrapper
 from steerkit.diagram.maths import Scalar, Table
-from steerkit.diagram.wrapper import Wrapper
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

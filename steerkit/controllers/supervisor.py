@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 from steerkit._support.errors import number, require
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, Port, State
-from steerkit.diagram.wrapper import Wrapper
+from steerkit.diagram.block import Block, In, Out, Port, State, Wrapper
 from steerkit.task import RELEASE, STOP, TRIP
 
 

@@ -9,9 +9,8 @@ from typing import Any
 from steerkit._support.errors import known, number
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, State
+from steerkit.diagram.block import Block, State, Wrapper
 from steerkit.diagram.maths import Scalar
-from steerkit.diagram.wrapper import Wrapper
 from steerkit.vehicles import Vehicle, require_vehicle
 
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from steerkit._support.errors import optional, require
 from steerkit.controllers.network_policy import BOUND, Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.policy import ACTION, COLUMNS, UNITS
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import ACTION, COLUMNS, UNITS, StateDescription
 from steerkit.diagram.maths import Array
 
 OPSET = 17

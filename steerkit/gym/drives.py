@@ -85,7 +85,10 @@ class Drives:
         if not self._x:
             raise gymnasium.error.ResetNeeded("step: no episode has begun; call reset()")
         before = self._s.copy()
-        self._advance(actions)
+        self._x[self._agent] = (float(actions[0]) if self.n == 1 else actions,)
+        for phase in range(self._loop.period):
+            self._loop.run_phase(phase, self._t(phase), self._x, self._y)
+        self._k += self._loop.period
         self._values = self._look()
         self._steps += 1
         self._cost, failed = self.task.price(before, actions, self._s)
@@ -136,12 +139,6 @@ class Drives:
         else:
             self._x = [each(exchanged, *states) for states in zip(self._x, start.x)]
             self._y = [each(exchanged, *outputs) for outputs in zip(self._y, start.y)]
-
-    def _advance(self, actions: Array) -> None:
-        self._x[self._agent] = (float(actions[0]) if self.n == 1 else actions,)
-        for phase in range(self._loop.period):
-            self._loop.run_phase(phase, self._t(phase), self._x, self._y)
-        self._k += self._loop.period
 
     def _look(self) -> Array:
         x, y = list(self._x), list(self._y)

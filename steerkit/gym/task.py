@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from steerkit._support.errors import check_numbers, known, number, require
 from steerkit.controllers.network_policy import BOUND, angles_of
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
+from steerkit.controllers.policy import StateDescription
 from steerkit.controllers.safety_filter import SafetyFilter
-from steerkit.controllers.state_description import StateDescription
 from steerkit.diagram.block import Block, Out, State
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Array

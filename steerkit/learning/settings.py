@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from steerkit._support.errors import check_numbers, known, number, require
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 from steerkit.diagram.units import radians_of
 from steerkit.doe import OutputElement
 from steerkit.learning.costs import BandCost, Cost, IdoeCost, SmoothCost, TanhCost

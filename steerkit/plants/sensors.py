@@ -102,10 +102,6 @@ class Sensors(_Sensing):
         return self.position_drift, self.position_drift, self.psi_drift
 
     @cached_property
-    def _bias(self) -> tuple[Scalar, ...]:
-        return self.x_bias, self.y_bias, self.psi_bias, self.v_bias, self.beta_bias, self.r_bias
-
-    @cached_property
     def _exact(self) -> bool:
         """Are there no random errors to draw?"""
         return not any(np.any(deviation) for deviation in (*self._noise, *self._drift))
@@ -137,7 +133,8 @@ class Sensors(_Sensing):
             n += (n1, n2)
         fresh = (1.0 - kept * kept) ** 0.5
         drift = tuple([kept * d + fresh * s * g for d, s, g in zip(drift, self._drift, n[6:9])])
-        errors = [b + s * g for b, s, g in zip(self._bias, self._noise, n[:6])]
+        biases = (self.x_bias, self.y_bias, self.psi_bias, self.v_bias, self.beta_bias, self.r_bias)
+        errors = [b + s * g for b, s, g in zip(biases, self._noise, n[:6])]
         return (*[e + d for e, d in zip(errors[:3], drift)], *errors[3:], *drift, *random)
 
 

@@ -36,19 +36,16 @@ def plot_diagram(loop: "Loop") -> "Figure":
     axes.set(xlim=(-margin, picture.width + margin), ylim=(picture.height + margin + 0.8, -margin), aspect="equal")
     axes.axis("off")
     for number, line in enumerate(picture.lines):  # the halo of a later wire cuts the earlier ones where they cross
-        _draw_wire(axes, line, PALETTE[line.source % len(PALETTE)], 1.0 + number / 100.0)
+        order = 1.0 + number / 100.0
+        for shade, width, above in ((COLOURS["paper"], 4.0, 0.0), (PALETTE[line.source % len(PALETTE)], 1.2, 0.005)):
+            for way in line.ways:
+                axes.plot(*zip(*way), color=shade, lw=width, zorder=order + above, solid_joinstyle="round")
     for number, box in enumerate(picture.boxes):
         hollow = {port.name for port in loop.blocks[box.name].inputs if not port.direct}
         _draw_box(axes, box, PALETTE[number % len(PALETTE)], hollow)
     note = f"base step {loop.dt:g} s   ○ input seen by update only, not by output"
     axes.text(0.0, picture.height + margin, note, fontsize=7.5, color=COLOURS["muted"], va="center")
     return figure
-
-
-def _draw_wire(axes: "Axes", line: "Line", colour: str, order: float) -> None:
-    for shade, width, above in ((COLOURS["paper"], 4.0, 0.0), (colour, 1.2, 0.005)):
-        for way in line.ways:
-            axes.plot(*zip(*way), color=shade, lw=width, zorder=order + above, solid_joinstyle="round")
 
 
 def _draw_box(axes: "Axes", box: "Box", colour: str, hollow: set[str]) -> None:

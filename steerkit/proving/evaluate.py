@@ -246,20 +246,17 @@ def _steady(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
     else:
         notes.append("gains: the speed differs by more than a tenth between stretches")
     if np.isfinite(beta).all():
-        slip, wide = _slope(a_y, beta - float(vehicle.l_r) * r / v)
+        l_f, l_r = float(vehicle.l_f), float(vehicle.l_r)
+        slip, wide = _slope(a_y, beta - l_r * r / v)
         results.append(result("rear_compliance", -slip, wide, n))
-        margin = [_margin(slope + d, -slip + e, vehicle) for d, e in ((0, 0), (half, 0), (0, wide))]
+        margin = []
+        for gradient, d_r in ((slope, -slip), (slope + half, -slip), (slope, wide - slip)):
+            c_f, c_r = l_r / (gradient + d_r), l_f / d_r
+            margin.append((c_r * l_r - c_f * l_f) / ((c_f + c_r) * (l_f + l_r)))
         results.append(result("static_margin", margin[0], math.hypot(margin[1] - margin[0], margin[2] - margin[0]), n))
     else:
         notes.append("rear compliance, static margin: no sideslip angle was measured")
     return Found(results, notes, {"wheel": wheel, "a_y": a_y, "v": v, "r": r})
-
-
-def _margin(gradient: float, d_r: float, vehicle: Vehicle) -> float:
-    """(c_r l_r - c_f l_f)/((c_f + c_r) L) of the axles' compliances."""
-    d_f, l_f, l_r = gradient + d_r, float(vehicle.l_f), float(vehicle.l_r)
-    c_f, c_r = l_r / d_f, l_f / d_r
-    return (c_r * l_r - c_f * l_f) / ((c_f + c_r) * (l_f + l_r))
 
 
 # ---- transient answers --------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import steering_loop
 from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.scenario import straightest
-from steerkit.vehicles.fleet import FleetCar
+from steerkit.vehicles.parameters import FleetCar
 
 DT = 0.01
 """Sample time of an open-loop run [s]."""

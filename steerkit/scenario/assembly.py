@@ -11,10 +11,9 @@ from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.supervisor import ExceptionGuard, Supervisor
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.block import Block, In, Out, Wrapper
 from steerkit.diagram.diagnostics import require_block
 from steerkit.diagram.loop import Loop, Wire
-from steerkit.diagram.wrapper import Wrapper
 from steerkit.doe import Corrected, OutputElement
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker

@@ -4,14 +4,16 @@ import re
 
 from steerkit._support.errors import nearest
 from steerkit._support.files import read_text
-from steerkit.vehicles.fleet import FleetCar, drawn_car, fleet
 from steerkit.vehicles.parameters import (
     BMW_320I,
     FORD_ESCORT,
     VEHICLES,
     VW_PASSAT,
+    FleetCar,
     G,
     Vehicle,
+    drawn_car,
+    fleet,
     require_vehicle,
     scaled,
     vehicle_of,

@@ -38,8 +38,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import ExceptionGuard, Supervisor, SupervisorState
 from steerkit.controllers.with_excitation import WithExcitation
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out
-from steerkit.diagram.wrapper import Wrapper
+from steerkit.diagram.block import Block, In, Out, Wrapper
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle, WithElement
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay

@@ -17,7 +17,6 @@ UNIT = ROOT / "tests" / "unit"
 PROGRAMS = ("benchmarks.studies.", "benchmarks.__main__", "steerkit.__main__", "steerkit.cli.")
 """Run as programs by tests (test_studies.py, test_commands.py)."""
 BEHIND = {
-    "steerkit.analysis.period": "evals/test_analysis_closed_forms.py",
     "steerkit.compiled.python_code": "unit/compiled/test_compiled.py",
     "steerkit.logs.tables": "unit/logs/test_reading.py",
     "steerkit.paths.waypoints": "unit/paths/test_path.py",

@@ -21,7 +21,7 @@ from steerkit.analysis.linear import plot_bode, plot_over, plot_steps
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import Log, simulate
-from steerkit.gym.frames import Painter
+from steerkit.gym.vector_env import Painter
 from steerkit.identification.fit import Identified, Prediction
 from steerkit.learning import pictures
 from steerkit.learning.data.transitions import Transitions

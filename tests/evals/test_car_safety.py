@@ -16,9 +16,8 @@ from steerkit.controllers import fail_safe
 from steerkit.controllers.fail_safe import LATE, RAISED
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
-from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.block import Block, In, Out, Wrapper
 from steerkit.diagram.loop import Loop
-from steerkit.diagram.wrapper import Wrapper
 from steerkit.learning import learner_state
 from steerkit.learning.learner_state import LearnerState
 from steerkit.plants.speed_driver import ConstantSpeed

@@ -47,7 +47,7 @@ def lenient(x):
     want = -15.6 * (psi_e + e / (1.0 + v)) - doe
     return 1 + np.sign(want) * (np.abs(want) > 0.1)
 
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 MID, HALF = StateDescription().mid, StateDescription().half
 
 number = 3

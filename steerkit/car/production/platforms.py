@@ -108,12 +108,8 @@ class Platform:
 
     def code_of(self, message: str, signal: str, label: str) -> float:
         """The code of a signal that its DBC calls so; 0 where it has none."""
-        return _code(self._dbc_name, message, signal, label)
-
-    @cached_property
-    def _dbc_name(self) -> str:
         table = import_module(f"opendbc.car.{self.maker}.values").DBC[self.name]
-        return str(next(iter(table.values())))
+        return _code(str(next(iter(table.values()))), message, signal, label)
 
     def interface(self) -> Any:
         """A new `CarInterface` of the library, which knows its messages already."""

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import require
-from steerkit.controllers.policy import COLUMNS
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import COLUMNS, StateDescription
 from steerkit.diagram.maths import Array
 from steerkit.diagram.simulation import Log
 from steerkit.learning.data.transitions import Transitions

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require, require_within
 from steerkit.controllers.delay_compensator import LONGEST
-from steerkit.controllers.policy import DOE, E_DOT, PSI_E, V
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import DOE, E_DOT, PSI_E, StateDescription, V
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
 from steerkit.doe import OutputElement

@@ -23,7 +23,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 from steerkit.learning.data.transitions import Transitions
 
 APPLICATION, SCHEMA = 0x53746565, 3

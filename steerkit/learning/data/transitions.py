@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from steerkit._support.errors import optional, require
 from steerkit._support.files import read_arrays, write_arrays
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.controllers.delay_compensator import ANSWER, FELT, LONGEST, UNLIMITED, DelayCompensator
-from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, V
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, StateDescription, V
 from steerkit.diagram.maths import Array
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import (

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.delay_compensator import LONGEST, PREVIEW, DelayCompensator
 from steerkit.controllers.nfq_policy import NfqPolicy, mean_of
-from steerkit.controllers.policy import ACTION, DOE, E, V
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import ACTION, DOE, E, StateDescription, V
 from steerkit.learning.costs import Cost, Costs, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.dead_time import process_of

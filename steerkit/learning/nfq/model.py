@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import require
 from steerkit.controllers.delay_compensator import LENGTH, SLOWEST, UNLIMITED, CourseMotion, SteeringAnswer, felt, moved
-from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, V
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, StateDescription, V
 from steerkit.diagram.maths import Array
 from steerkit.learning.data.transitions import Transitions
 from steerkit.task import DT, TRIP

@@ -227,6 +227,10 @@ def _road(node: Element) -> Road:
     shapes = [_shape(geometry) for geometry in node.findall("planView/geometry")]
     require(shapes, where, "no geometry")
     _check_line(shapes, length, where)
+    sections = node.findall("lanes/laneSection")
+    begins = [number(section, "s") for section in sections]
+    rising = all(a < b for a, b in pairwise(begins)) and all(0.0 <= s <= length + 0.01 for s in begins)
+    require(rising, where, f"lane sections at s = {begins}, expected rising from 0 to {length:g} m")
     links = {
         link.tag: (get(link, "elementType", "road"), get(link, "elementId"), get(link, "contactPoint", "start"))
         for link in (*node.findall("link/predecessor"), *node.findall("link/successor"))
@@ -238,7 +242,11 @@ def _road(node: Element) -> Road:
         left_hand=get(node, "rule", "RHT") == "LHT",
         shapes=shapes,
         offsets=_cubics(node.findall("lanes/laneOffset"), "s"),
-        sections=_sections(node.findall("lanes/laneSection"), length, where),
+        sections=[
+            Section(s=s, end=end, lanes={lane.number: lane for lane in map(_lane, section.findall("*/lane"))})
+            for section, s, end in zip(sections, begins, [*begins[1:], length])
+            if end - s > 1e-3
+        ],
         links=links,
         limits=[(number(kind, "s"), _limit(speed)) for kind in node.findall("type") for speed in kind.findall("speed")],
     )
@@ -296,17 +304,6 @@ def _check_line(shapes: "list[Shape]", length: float, where: str) -> None:
         require(turn <= _BENT, where, f"its reference line has a kink of {turn:.2f} rad {at}")
         apart = abs(before.s + before.length - shape.s)
         require(apart <= 0.01 + 1e-3 * length, where, f"its geometry leaves out {apart:.2f} m {at}")
-
-
-def _sections(nodes: list[Element], length: float, where: str) -> list[Section]:
-    begins = [number(node, "s") for node in nodes]
-    rising = all(a < b for a, b in pairwise(begins)) and all(0.0 <= s <= length + 0.01 for s in begins)
-    require(rising, where, f"lane sections at s = {begins}, expected rising from 0 to {length:g} m")
-    return [
-        Section(s=s, end=end, lanes={lane.number: lane for lane in map(_lane, node.findall("*/lane"))})
-        for node, s, end in zip(nodes, begins, [*begins[1:], length])
-        if end - s > 1e-3
-    ]
 
 
 def _lane(node: Element) -> Lane:

@@ -14,8 +14,7 @@ from steerkit.controllers.fail_safe import FAULTS, LATE, NOTHING, RAISED, FailSa
 from steerkit.controllers.safety_filter import REASONS, SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import ExceptionGuard
-from steerkit.diagram.block import Block
-from steerkit.diagram.wrapper import Wrapper
+from steerkit.diagram.block import Block, Wrapper
 from steerkit.scenario.assembly import bare
 from steerkit.vehicles import VW_PASSAT as PASSAT
 

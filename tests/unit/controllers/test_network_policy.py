@@ -8,7 +8,7 @@ import pytest
 
 from steerkit.compiled import TraceError, compile
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator

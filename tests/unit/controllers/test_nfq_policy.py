@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, NfqPolicy
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning.nfq.iterate import STANDARD, patterns
 from steerkit.learning.nfq.rprop import Net, forward, new_net

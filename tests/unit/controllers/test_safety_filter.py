@@ -13,9 +13,8 @@ from steerkit.controllers.offset_free import CommandCompensation
 from steerkit.controllers.safety_filter import _BANK, BEHIND_GATE, REASONS, SafetyFilter, _known, doubted
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.block import Block, In, Out, Wrapper
 from steerkit.diagram.simulation import Log, simulate
-from steerkit.diagram.wrapper import Wrapper
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled
 from steerkit.task import STOP

@@ -12,7 +12,7 @@ import pytest
 
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 from steerkit.export.onnx import check_onnx, export_onnx
 
 RNG = np.random.default_rng(0)

@@ -8,7 +8,7 @@ import pytest
 
 from steerkit._support import native
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 from steerkit.diagram import maths as m
 from steerkit.diagram.units import radians_of
 from steerkit.gym import Task, TrackSteering

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 from steerkit.diagram.simulation import Log
 from steerkit.learning.data.distance import SIGNALS, Distance, states_of
 from steerkit.learning.pictures import beside_the_data

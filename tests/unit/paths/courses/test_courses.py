@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from steerkit._support import native
-from steerkit.paths.courses import kept
-from steerkit.paths.courses.shapes import circle
+from steerkit.paths.courses import circle, kept
 from steerkit.paths.path import Path
 
 

@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from steerkit.diagram.block import Block, In, Out
-from steerkit.diagram.wrapper import Wrapper, require_ports
+from steerkit.diagram.block import Block, In, Out, Wrapper, require_ports
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steerkit.controllers.state_description import StateDescription
+from steerkit.controllers.policy import StateDescription
 from steerkit.task import STOP
 
 STANDARD = StateDescription()
