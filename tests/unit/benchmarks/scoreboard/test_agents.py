@@ -225,24 +225,31 @@ def test_a_network_at_the_wheel_steers_as_its_policy_block() -> None:
 
 def test_what_was_compiled_for_one_run_changes_nothing_in_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sbx", reason="sbx-rl is of the extra peers")
-    job = Job("sac+model", 1, 0, 0.15, 60.0)
+    monkeypatch.setattr(agents, "_COMPILED", {})
+    job = Job("sac+model", 1, 0, 0.07, 60.0)  # it trains from the third second on
 
     def run(job: Job) -> str:
         return repr(replace(agents.one_run(job), computing=0.0))
 
-    first, other = run(job), run(replace(job, seed=2))
+    alone, other = run(job), run(replace(job, seed=2))
     assert len(agents._COMPILED) == 3
-    assert run(job) == first != other
-    monkeypatch.setattr(agents, "_as_compiled", lambda model, kind: None)
-    assert run(job) == first
+    assert run(job) == alone != other
 
 
-@pytest.mark.parametrize("agent", ["sac", "crossq", "ppo"])
+@pytest.mark.parametrize("agent", ["crossq", "ppo"])
 def test_the_net_that_is_test_driven_is_the_agents_own(agent: str) -> None:
-    pytest.importorskip("sbx", reason="sbx-rl is of the extra peers")
+    """With normalisation, `tanh` outside and `relu` inside; without, the limit outside and `tanh` inside."""
+    jax = pytest.importorskip("jax", reason="sbx-rl is of the extra peers")
     model, _, _ = agents._made(Job(agent, 0, 0, 1.0, 60.0), agents.drawn(agent, 0))
-    model.learn(512 if agent == "ppo" else 130)
-    seen = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 6)).astype(np.float32)
+    rng = np.random.default_rng(0)
+
+    def changed(value: Any) -> Any:
+        return value + rng.uniform(-0.3, 0.3, value.shape) if np.ndim(value) else value
+
+    state = model.policy.actor_state
+    parts = [name for name in ("params", "batch_stats") if hasattr(state, name)]
+    model.policy.actor_state = state.replace(**{name: jax.tree.map(changed, getattr(state, name)) for name in parts})
+    seen = rng.uniform(-2.0, 2.0, (50, 6)).astype(np.float32)
     asked = model.predict(seen, deterministic=True)[0][:, 0]
     assert np.abs(agents.network(model)(seen) - asked).max() < 1e-5
     assert np.ptp(asked) > 0.1

@@ -68,3 +68,27 @@ def test_a_wrong_dead_time_does_not_swing_within_what_the_step_cost_is_said_to_h
     told = lateral.CAR.design_model()
     block = LateralMpc(response=LateralMpc.told(times * told.delay, told.lag), q_step=q_step)
     assert lateral.cost(block, LateralTarget.drawn(7001), 7001) < 600.0
+
+
+def test_a_trained_policy_is_asked_with_what_it_has_commanded_before() -> None:
+    seen, answers = list[Any](), iter([0.3, -0.1, 1.0])
+
+    def predict(row: Any, *, deterministic: bool) -> tuple[Any, None]:
+        assert deterministic
+        seen.append(np.asarray(row))
+        return np.array([next(answers)]), None
+
+    greedy = lateral._Greedy(SimpleNamespace(predict=predict))
+    state = SimpleNamespace(roll_lataccel=0.1, v_ego=12.0)
+    plan = SimpleNamespace(lataccel=[0.5] * 50, roll_lataccel=[0.1] * 50)
+    assert [greedy.update(0.5, 0.2, state, plan) for _ in range(3)] == pytest.approx([0.6, -0.2, 2.0])
+    assert greedy.past[-3:] == pytest.approx((0.6, -0.2, 2.0))
+    assert len({row.tobytes() for row in seen}) == 3, "each time with the commands before it"
+
+
+def test_an_agent_of_others_learns_and_drives() -> None:
+    pytest.importorskip("stable_baselines3")
+    block = lateral.trained(0, 0.17)  # trainings begin after 100 samples
+    target = LateralTarget.drawn(lateral.HELD_OUT, seconds=2.0)
+    log = lateral.lateral_drive(lateral.CAR, target, block, seed=0)
+    assert 0.0 < np.abs(log["controller.a_y_cmd"]).max() <= 2.0

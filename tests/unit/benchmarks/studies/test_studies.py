@@ -8,7 +8,6 @@ import shlex
 import subprocess
 import sys
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -75,7 +74,7 @@ KEPT = {"foreign": ("--keep", "drives.jsonl"), "safety": ("--keep", "learners.js
 SHORTER = {
     "learning": ("--course", "circle"),  # each net is test-driven over a whole round, which takes longer than to learn
     "production_cars": ("--ports", "NISSAN_LEAF"),  # others: tests/unit/car/production
-    "scoreboard": () if find_spec("sbx") else ("--agents", "default", "--trainings", "0"),  # sbx-rl: the extra peers
+    "scoreboard": ("--agents", "default", "--trainings", "0"),  # agents of others: test_agents.py, test_lateral.py
 }
 DRIVEN_FOR_LONG = ("throughput", "vehicle_state")
 """Studies whose loops drive for longer, in their quick forms, than it takes to optimise them."""
