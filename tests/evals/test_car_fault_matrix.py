@@ -133,7 +133,7 @@ def test_while_engaged_it_lets_go_in_time_for_good_and_says_why(name: str) -> No
     # the fault ends, everything is well again, the operator sleeps: nobody engages
     world.car.faults.clear()
     world.tampered = lambda basis, delta_sw: (basis, delta_sw)
-    world.until(world.t + 1.0)
+    world.until(world.t + 0.5)
     assert world.mode is outcome.mode or (case.to is Mode.STANDBY and world.mode is Mode.READY)
     assert max(s.t for s in world.sent if s.enable) == outcome.last_enabled
 

@@ -96,15 +96,6 @@ def _requests(outputs: list[Any]) -> list[tuple[float, float]]:
     return [(values["request"], values["sent"]) for values in notes]
 
 
-def test_without_consent_there_is_no_run(kit: CarConfig) -> None:
-    world = world_of(kit)
-    world.engage()
-    world.go_on(lambda: "press g" in world.status)
-    world.until(world.t + WARNING + 0.5)
-    assert world.runs == []
-    assert world.mode is Mode.ENGAGED
-
-
 def test_a_key_before_the_question_is_no_consent(kit: CarConfig) -> None:
     world = world_of(kit)
     assert world.proving is not None
@@ -175,8 +166,6 @@ def _fault(kind: str, target: str = "report", **more: Any) -> Callable[[ProvingW
     ("happens", "abort", "cause", "mode"),
     [
         (_fault("override"), {}, "OVERRIDE: override", Mode.OVERRIDE),
-        (_fault("drop", "pose"), {}, "FAULT: pose stale", Mode.FAULT),
-        (_fault("kit_fault"), {}, "FAULT: kit fault", Mode.FAULT),
         (lambda world: world.order(Order.DISENGAGE), {}, "STANDBY: operator: disengage", Mode.READY),
         (lambda world: setattr(world, "beats_until", world.t), {}, "FAULT: operator silent", Mode.FAULT),
         (_slower, {}, "v - 8 m/s: -0.", Mode.ENGAGED),

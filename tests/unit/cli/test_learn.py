@@ -1,4 +1,4 @@
-"""`steerkit learn`, and what its run directory is for: `show` and `drive`."""
+"""`steerkit learn`, and `show` of its run directory."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ from steerkit.learning.experiment import Experiment
 from steerkit.scenario import Scenario
 
 
-def test_learn_from_a_config_then_show_and_drive_its_policy(tmp_path: Path, cli: Any) -> None:
+def test_learn_from_a_config_then_show_it_and_go_on(tmp_path: Path, cli: Any) -> None:
     config, place, film = tmp_path / "my.toml", tmp_path / "run", tmp_path / "film.gif"
     course = "scenario.course = {name = 'circle', rounds = 0.1}"
     config.write_text(f"minutes = 0.15\nseed = 2\n{course}\nsetting.fit = {{nets = 1, epochs = 30}}\n")
@@ -32,12 +32,11 @@ def test_learn_from_a_config_then_show_and_drive_its_policy(tmp_path: Path, cli:
     assert [row["failures"] for row in both.json["runs"]] == 2 * [merit["failures"]]
     assert both.json["runs"][0]["drive"]["rms_e"] == shown["drives"][0]["rms_e"]
     assert "2 runs" in both.err
-    longer = cli("learn", "--out", place, "--minutes", "+0.05", "-q", "--json").json
+    longer = cli("learn", "--out", place, "--minutes", "+0.02", "-q", "--json").json
     assert (longer["course"], longer["seed"]) == ("circle", 2)
-    assert 0.2 <= longer["driving_minutes"] < 0.21
+    assert 0.17 <= longer["driving_minutes"] < 0.18
     other = cli("learn", "--out", place, "--course", "paper", code=2)
     assert "another experiment: its scenario differs" in other.err
-    cli("drive", place, "--course", "circle", "--rounds", 0.1, "--out", tmp_path / "d", "-q")
 
 
 def test_a_run_that_was_never_trained_says_so(tmp_path: Path, cli: Any) -> None:

@@ -22,7 +22,7 @@ N = round(0.5 / DT)
 @cache
 def learned(noise: float, sway: float, turn: float) -> tuple[Drive, Tyres, Residual]:
     """From a drive on which accelerations besides come and go over 20 s."""
-    drive = made(seconds=90.0, noise=noise, sway=sway, turn=turn)
+    drive = made(seconds=60.0, noise=noise, sway=sway, turn=turn)
     tyres = identify_tyres(drive, VW_PASSAT)
     return drive, tyres, learn_residual(tyres, drive)
 
@@ -39,7 +39,7 @@ def test_what_persists_is_learned_and_helps_on_another_drive() -> None:
     _, tyres, residual = learned(0.002, 0.4, 0.1)
     assert residual.share > 0.5
     assert max(residual.gain.values()) < 0.8
-    other = made(seconds=45.0, seed=7, noise=0.002, sway=-0.3, turn=0.1)
+    other = made(seconds=40.0, seed=7, noise=0.002, sway=-0.3, turn=0.1)
     assert (errors(residual, other) < 0.95 * errors(tyres, other)).all()
 
 
@@ -47,7 +47,7 @@ def test_it_never_makes_a_drive_of_other_noise_worse() -> None:
     """With noise alone it may filter the starts: within a hundredth of no worse in both, better in one or no share."""
     for noise in (0.02, 0.1):
         _, tyres, residual = learned(noise, 0.0, 0.0)
-        other = made(seconds=45.0, seed=8, noise=noise)
+        other = made(seconds=40.0, seed=8, noise=noise)
         ratio = errors(residual, other) / errors(tyres, other)
         assert (ratio <= 1.01).all()
         assert residual.share == 0.0 or ratio.min() < 1.0
@@ -107,4 +107,4 @@ def test_it_is_judged_beside_the_others() -> None:
 def test_a_drive_that_is_too_short_is_refused() -> None:
     drive, tyres, _ = learned(0.002, 0.4, 0.1)
     with pytest.raises(ValueError, match="to learn a residual from, expected 8 s"):
-        learn_residual(tyres, replace(drive, measured=drive.t > 83.0))
+        learn_residual(tyres, replace(drive, measured=drive.t > 53.0))

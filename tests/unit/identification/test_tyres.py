@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from steerkit.identification import Drive, identify_tyres
-from steerkit.identification.tyres import _Pieces, accelerations, pacejka, rolled
+from steerkit.identification.tyres import Tyres, _Pieces, accelerations, pacejka, rolled
 from steerkit.vehicles import VW_PASSAT, G
 
 DT = 0.02
@@ -43,6 +43,12 @@ def made(seconds: float = 40.0, seed: int = 0, noise: float = 0.0, grip: float =
     wheel = VW_PASSAT.steer_ratio * delta - 0.03
     speed = np.hypot(v, v_y)
     return Drive(name="made", dt=DT, delta_sw=wheel, v=speed, r=r, measured=t >= 1.0, calibrated=True, v_y=v_y)
+
+
+@cache
+def found_under_noise() -> Tyres:
+    """What is identified from 40 s with noise."""
+    return identify_tyres(made(noise=0.05))
 
 
 def mirrored(drive: Drive) -> Drive:
@@ -92,7 +98,7 @@ def test_a_drive_without_noise_tells_all() -> None:
 
 
 def test_left_and_right_are_alike() -> None:
-    one, other = identify_tyres(made(noise=0.05)), identify_tyres(mirrored(made(noise=0.05)))
+    one, other = found_under_noise(), identify_tyres(mirrored(made(noise=0.05)))
     for name in ("c_f", "c_r", "mu_f", "delay"):
         assert other.theta[name] == pytest.approx(one.theta[name], rel=1e-3), name
     assert other.theta["offset"] == pytest.approx(-one.theta["offset"], rel=1e-2)
@@ -130,8 +136,7 @@ def test_friction_that_is_not_used_is_not_told() -> None:
 
 
 def test_the_yaw_rate_alone_tells_less() -> None:
-    drive = made(noise=0.01)
-    whole, bare = identify_tyres(drive), identify_tyres(replace(drive, v_y=None))
+    whole, bare = found_under_noise(), identify_tyres(replace(made(noise=0.05), v_y=None))
     assert any("v_y is not in the log" in note for note in bare.notes)
     widths = [np.log(found["c_r"].high / found["c_r"].low) for found in (whole, bare)]
     assert widths[1] > 3.0 * widths[0]
@@ -147,7 +152,7 @@ def test_a_throttle_tells_the_drivetrain() -> None:
     assert found["throttle_gain"].value == pytest.approx(4.0, rel=0.02)
     assert found["rolling"].value == pytest.approx(0.2, abs=0.02)
     assert found["drag"].value == pytest.approx(0.0006, abs=0.0002)
-    without = identify_tyres(drive)
+    without = found_under_noise()
     assert "drag" not in [e.name for e in without.estimates]
     assert any("cannot be told from engine and brake" in note for note in without.notes)
 
@@ -181,7 +186,7 @@ def test_gaps_in_v_y_are_left_out() -> None:
     drive = made(noise=0.05)
     assert drive.v_y is not None
     some = np.where((drive.t > 10.0) & (drive.t < 16.0), np.nan, drive.v_y)
-    one, whole = (identify_tyres(d)["c_f"] for d in (replace(drive, v_y=some), drive))
+    one, whole = identify_tyres(replace(drive, v_y=some))["c_f"], found_under_noise()["c_f"]
     assert one.value == pytest.approx(whole.value, rel=0.02)
     assert one.high / one.low > whole.high / whole.low
 

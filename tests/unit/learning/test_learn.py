@@ -42,11 +42,8 @@ def test_a_log_makes_a_run_that_can_be_shown_and_goes_on(tmp_path: Path) -> None
     place = tmp_path / "run"
     numbers: list[int] = []
     run = from_log(steered(slalom(T[:1200])), experiment, place, updates=2, watch=numbers.append)
-    again = from_log(steered(slalom(T[:1200])), experiment, updates=2)
     assert numbers == [1, 2]
     assert len(run.policy.nets) == 2  # the best of all updates, and its mirror image
-    for mine, other in zip(run.policy.nets, again.policy.nets, strict=True):
-        np.testing.assert_array_equal(mine[0], other[0])
     kept = rundir.load(place)
     assert kept.source == run.source
     assert kept.done()
