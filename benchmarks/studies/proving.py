@@ -89,11 +89,11 @@ def noisy(run: Run, random: np.random.Generator) -> Run:
     return replace(run, signals=signals)
 
 
-def coverage(draws: int, manoeuvres: tuple[str, ...] = NOISY, seed: int = 0) -> dict[str, float]:
+def coverage(draws: int, seed: int = 0) -> dict[str, float]:
     """How often the intervals hold the closed form [%], by manoeuvre and quantity."""
     hits: dict[str, list[bool]] = {}
     random = np.random.default_rng(seed)
-    for which in manoeuvres:
+    for which in NOISY:
         one, scenario = manoeuvre(which), linear(CARS[0])
         truth = closed_forms(scenario.nominal, one.conditions.v)
         for _ in range(draws):
@@ -184,9 +184,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure, and print."""
     quick = options.quick
-    theory = against_theory(CARS[:1], NOISY[:2]) if quick else against_theory(CARS, (*NOISY, "pulse-steer", "step-steer"))
+    theory = against_theory(CARS[:1], NOISY) if quick else against_theory(CARS, (*NOISY, "pulse-steer", "step-steer"))
     _show("error from closed forms [%]", theory)
-    covered = coverage(6, NOISY[:2]) if quick else coverage(options.draws)
+    covered = coverage(6 if quick else options.draws)
     _show("intervals that hold the truth [%]", covered)
     cars, which = list(fleet().values()), names()
     if quick:

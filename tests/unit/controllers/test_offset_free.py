@@ -65,8 +65,7 @@ def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(
 
 
 @pytest.mark.parametrize(
-    ("name", "wrong"),
-    [("stanley", OFF), ("lqr", {"disturbances": {"bank_deg": 3.0}}), ("mpc", OTHER_CAR)],
+    ("name", "wrong"), [("stanley", OFF), ("lqr", {"disturbances": {"bank_deg": 3.0}}), ("mpc", OTHER_CAR)]
 )
 def test_in_a_steady_bend_neither_offset_nor_bank_nor_ratio_leaves_an_error(name: str, wrong: dict[str, Any]) -> None:
     bent = STRAIGHT.with_(course={"name": "circle", "rounds": 1.0}, **wrong)

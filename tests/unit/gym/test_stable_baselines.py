@@ -25,7 +25,7 @@ def test_the_cars_of_a_vec_are_those_of_the_vector_environment(actions: str) -> 
     cars.seed(5)
     np.testing.assert_array_equal(cars.reset(), same.reset(seed=5)[0])
     rng, ends, late = np.random.default_rng(0), 0, 0
-    for _ in range(90):
+    for _ in range(120):
         action = rng.integers(0, 5, 3) if actions == "i-doe" else rng.uniform(-1.0, 1.0, (3, 1)).astype(np.float32)
         seen, reward, over, each = cars.step(action)
         other, gained, terminated, truncated, infos = same.step(action)

@@ -20,9 +20,7 @@ from tests.support.production import config, judged
 
 
 @judged
-@pytest.mark.parametrize(
-    ("name", "controller"), [("NISSAN_LEAF", "lqr"), ("RIVIAN_R1", "auto")]
-)
+@pytest.mark.parametrize(("name", "controller"), [("NISSAN_LEAF", "lqr"), ("RIVIAN_R1", "auto")])
 def test_a_drive_through_gate_port_and_safety_code(name: str, controller: str) -> None:
     row = study.driven((name, controller, 1.5, 4, None))
     assert row["held"], row
