@@ -59,9 +59,12 @@ def test_on_a_circle_every_output_has_its_closed_form(angle, e, psi_e, v):
     assert out.r_e == pytest.approx(0.2 - v * 0.05, abs=1e-6)
 
 
+STRAIGHT = courses.straight(100.0)
+
+
 @given(reference=st.floats(0.0, 3.0), psi=st.floats(-1.5, 1.5), x=st.floats(5.0, 90.0), y=st.floats(-5.0, 5.0))
 def test_on_a_straight_the_reference_point_ahead_is_measured(reference, psi, x, y):
-    out = track(PathTracker(path=courses.straight(100.0), reference=reference), x, y, psi, 6.0, -0.1, 0.3)
+    out = track(PathTracker(path=STRAIGHT, reference=reference), x, y, psi, 6.0, -0.1, 0.3)
     assert out.s == pytest.approx(x + reference * math.cos(psi), abs=EXACT)
     assert out.e == pytest.approx(y + reference * math.sin(psi), abs=EXACT)
     assert out.e_dot == pytest.approx(6.0 * math.sin(psi - 0.1) + 0.3 * reference * math.cos(psi), abs=EXACT)
@@ -143,7 +146,7 @@ def test_smoothing_recovers_a_circle_from_noisy_points():
 WAYPOINTS = courses.random_course(3, length=120.0, max_kappa=0.15).samples.xy[:-1:3]
 
 
-@settings(max_examples=25)
+@settings(max_examples=20)
 @given(
     turn=st.floats(-math.pi, math.pi),
     shift=st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)),

@@ -56,7 +56,7 @@ def test_predict_equals_numpy_for_every_filling_of_the_last_block(sizes: tuple[i
 def test_steps_grow_by_eta_plus_while_the_gradient_keeps_its_sign(engine: rprop.Engine) -> None:
     """One unit, x = 1, target 1: both weights climb by 0.1 * 1.2^k, so w_k = w_0 + 0.1 (1.2^k - 1) / 0.2."""
     net = (np.zeros((1, 1), np.float32), np.zeros(1, np.float32))
-    for k in range(11):
+    for k in (0, 1, 2, 10):
         (w, b), _ = fit(net, np.ones((1, 1), np.float32), np.ones(1, np.float32), epochs=k, engine=engine)
         assert w[0, 0] == pytest.approx(0.5 * (1.2**k - 1.0), abs=1e-5)
         assert b[0] == w[0, 0]
@@ -97,7 +97,7 @@ def test_weights_follow_torch_in_double_precision_step_by_step(sizes: tuple[int,
 def test_both_engines_reach_the_same_error() -> None:
     """After 10 epochs to rounding; after 300, where signs have magnified the rounding, to a third."""
     ratios = []
-    for seed in range(3):
+    for seed in range(2):
         net, (x, y) = new_net(seed=seed), data((7, 10, 10, 1), 2000, seed)
         ours = fit(net, x, y, epochs=300, engine="c").errors
         reference = fit(net, x, y, epochs=300, engine="torch").errors

@@ -30,9 +30,10 @@ def offset_on_the_circle(plant: Any, stanley: Stanley, v: float, left: bool) -> 
     return float(e[-1]) * (1.0 if left else -1.0)
 
 
-@pytest.mark.parametrize("left", [True, False])
-@pytest.mark.parametrize("v", [4.0, 6.0, 9.0])
-@pytest.mark.parametrize("plant", [LinearSingleTrack, NonlinearSingleTrack])
+@pytest.mark.parametrize(
+    ("plant", "v", "left"),
+    [(LinearSingleTrack, 4.0, True), (LinearSingleTrack, 9.0, False), (NonlinearSingleTrack, 6.0, False)],
+)
 def test_a_steady_circle_is_held_with_the_front_axle_on_the_path(plant: Any, v: float, left: bool) -> None:
     """With psi_ss the offset is gone; without, it is what psi_ss makes up for; with the wrong sign it would double."""
     stanley = Stanley.of(PASSAT)

@@ -37,6 +37,8 @@ class CalibratedWorld(World):
     def __init__(self, *, minutes: float = 0.5, config: CarConfig = CONFIG, v: Any = (4.5, 5.0), **more: Any):
         self.guided: Guided | None = None
         self.seen: list[Snapshot] = []
+        self.said: list[str] = []
+        """What the operator was told, a text a sample."""
         super().__init__(s=0.0, v=v, config=config, path=PATH, **(UNTOLD | more))
         self.watched = Watched(config, self.packet)
         self.due = math.inf  # the human drives alone
@@ -54,6 +56,7 @@ class CalibratedWorld(World):
         assert self.last is not None
         self.seen.append(self.last)
         self.over = self.over or self.guided.step(run)
+        self.said.append(self.guided.status())
         self.watched.sample(self.last)
         return None
 

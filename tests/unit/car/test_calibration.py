@@ -86,10 +86,7 @@ def test_below_3_metres_a_second_the_clock_stands_and_says_so() -> None:
 
 
 def test_the_operator_is_warned_before_the_end(calibration: Made) -> None:
-    (world, guided), said = engaged(0.1, 0.0), []
-    while not world.over:
-        world.until(world.t + 0.05)
-        said.append(guided.status())
+    said = calibration.world.said
     assert any("HANDS ON THE WHEEL" in text for text in said)
     assert said[-1] == "all is driven: take the wheel"
     assert not any("HANDS" in text for text in said if text.startswith(("sine", "steps")))

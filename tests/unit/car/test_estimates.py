@@ -119,7 +119,7 @@ def under_way(calibration: Made) -> tuple[CarEstimators, list[Snapshot], dict[st
     [
         (value, name)
         for i, name in enumerate(("r", "v", "delta_sw", "psi", "command", "report_age"))
-        for value in (NAN, (math.inf, -math.inf)[i % 2], 1e300)
+        for value in ((NAN, math.inf, -math.inf)[i % 3], 1e300)
     ],
 )
 def test_a_signal_that_is_no_number_for_a_while_is_not_used_and_harms_nothing(

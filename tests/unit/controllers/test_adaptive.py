@@ -190,7 +190,7 @@ def rms(name: str, scenario: Scenario) -> tuple[float, float]:
     ],
 )
 def test_it_drives_nearly_as_well_as_one_that_knows_the_true_parameters(wrong: dict[str, Any]) -> None:
-    off = Scenario(course={"name": "paper", "rounds": 0.5}, **wrong)
+    off = Scenario(course={"name": "paper", "rounds": 0.35}, **wrong)
     truth = rms("stanley-delay", off.with_(knowledge={"oracle": True, "delay": None}))[0]
     plain, adapts = rms("stanley-delay", off), rms("stanley-adaptive", off)
     assert adapts[0] < plain[0]

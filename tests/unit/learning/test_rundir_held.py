@@ -59,7 +59,7 @@ def test_reading_beside_a_learner_sees_whole_checkpoints_only(tmp_path: Path) ->
     setting = changed(MODEL_FREE, ["retrain_every_m=0.5", "fit_seconds=0.0"])
     setting = changed(setting, [f"fit.{name}={value}" for name, value in (("epochs", 1), ("nets", 1))])
     assert isinstance(setting.fit, FitSetting)
-    run = LearningRun(Experiment(setting=setting, scenario=Scenario(course="circle"), minutes=0.1))
+    run = LearningRun(Experiment(setting=setting, scenario=Scenario(course="circle"), minutes=0.06))
     rundir.keep_in(run, tmp_path)
     read: list[int] = []
     faults: list[BaseException] = []

@@ -86,7 +86,7 @@ def test_a_torque_car_is_driven_with_a_map_that_is_wrong() -> None:
     true = LateralMap(gain=1.2 * platform("TOYOTA_COROLLA_TSS2").lateral.gain, friction=0.12, offset=0.15)
     world = ProductionWorld(config("TOYOTA_COROLLA_TSS2"), seed=2, lateral=true)
     drive = study.drive_of(world, "lqr")
-    while len(drive.e) < 120 and not drive.ended:
+    while len(drive.e) < 80 and not drive.ended:
         drive.step()
     assert not drive.ended
     assert max(map(abs, drive.e)) < 0.3
