@@ -85,6 +85,10 @@ class Shell:
 
     def run(self, line: str) -> subprocess.CompletedProcess[str]:
         """Run a line to its end: a command alone in a fork, any other (or for completion) in bash."""
+        first, then, rest = line.rpartition(" && ")
+        if then and rest.startswith("python ") and not re.search(r"[$&|]", first):
+            done = self.run(first)
+            return done if done.returncode else self.run(rest)
         command = re.match("steerkit |python ", line)
         if command and not re.search(r"[|;&<>$*`]|-completion", line):
             name, *words = shlex.split(line)

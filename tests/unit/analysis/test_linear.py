@@ -14,7 +14,6 @@ from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.speed_driver import SpeedDriver
-from steerkit.plants.steering_actuator import SteeringActuator
 from tests.support.straight_road import PASSAT, looped, steered
 
 PLANT = control.ss([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], 0.05, inputs=["u"], outputs=["y"])
@@ -58,26 +57,6 @@ def test_a_signal_may_be_a_port_and_a_loop_linearises_whole() -> None:
     steering = linearise(steered())
     assert {"controller_delta_sw", "car_a_y", "path_e"} <= set(steering.output_labels)
     assert np.abs(steering.poles()).max() == pytest.approx(1.0, abs=1e-6)  # the way driven
-
-
-def test_a_loop_of_several_rates_closes_to_the_poles_it_has() -> None:
-    """The car at 100 Hz, its controller at 20 Hz: the opened loop, closed by python-control, is the closed loop."""
-    loop = steered()
-    opened = break_at(loop, "controller.delta_sw")
-    assert opened.dt == pytest.approx(0.05)
-    closed = linearise(loop, inputs=["controller_path.e"], outputs=["controller_path.e"])
-    ours = np.sort(np.abs(control.feedback(opened).poles()))[::-1]
-    np.testing.assert_allclose(ours[:8], np.sort(np.abs(closed.poles()))[::-1][:8], atol=1e-4)  # multiple poles at 0
-
-
-def test_margins_say_when_the_simulation_swings() -> None:
-    """An actuator slower by a bit less than the delay margin is stable, by a bit more is not."""
-    margin = margins(break_at(steered(), "controller.delta_sw"))
-    for factor, stable in ((0.85, True), (1.15, False)):
-        late = round(0.2 + factor * margin.delay, 2)
-        loop = steered().with_block("actuator", SteeringActuator(delay=late, lag=0.1))
-        poles = control.feedback(break_at(loop, "controller.delta_sw")).poles()
-        assert (np.abs(poles).max() < 1.0) == stable
 
 
 def test_prediction_gives_stanley_back_its_delay_margin() -> None:
