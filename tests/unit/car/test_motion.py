@@ -161,7 +161,7 @@ def test_what_is_learned_and_what_is_calibrated_tighten_the_bounds(v: float, kap
     assert doubted.astray(v, kappa) == pytest.approx(fresh)
 
 
-@pytest.mark.parametrize("v", [2.0, 5.0, 7.0])
+@pytest.mark.parametrize("v", [2.0, 7.0])
 @pytest.mark.parametrize("power", [0.0, 1.0, 2.0, 3.0])
 @pytest.mark.parametrize("known", [None, KNOWN])
 def test_no_lie_leads_astray_sooner_than_is_said_and_some_does_not_much_later(

@@ -25,7 +25,7 @@ def tell(it: SimulatedCar, angle: float, *, enable: bool = True, clear: bool = F
     it.receive(it.t, CONFIG.writer.message.frame_id, CONFIG.writer.write(angle, enable=enable, clear=clear))
 
 
-@pytest.mark.parametrize("period", [0.005, 0.01, 0.015, 0.02])
+@pytest.mark.parametrize("period", [0.005, 0.015])
 def test_a_pose_as_often_as_the_configuration_says_is_driven_by(tmp_path: Path, period: float) -> None:
     text = shipped("dbw-kit.toml").read_text(encoding="utf-8").replace("period = 0.01 }", f"period = {period} }}")
     (tmp_path / "car.toml").write_text(text)

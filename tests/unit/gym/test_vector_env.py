@@ -33,7 +33,7 @@ def rolled(env: Any, actions: np.ndarray, seed: int) -> list[tuple[Any, ...]]:
 @pytest.mark.parametrize(("name", "conditions"), [(ID, "hard"), (CONTINUOUS, "clean")])
 def test_many_cars_are_the_single_ones_through_ends_and_starts(name: str, conditions: str, backend: str) -> None:
     rng = np.random.default_rng(0)
-    wide = rng.integers(0, 5, (90, 3)) if name == ID else rng.uniform(-0.4, 0.4, (90, 3, 1)).astype(np.float32)
+    wide = rng.integers(0, 5, (65, 3)) if name == ID else rng.uniform(-0.4, 0.4, (65, 3, 1)).astype(np.float32)
     options: dict[str, Any] = {"conditions": conditions, "duration": 3.0}
     one_by_one = rolled(gymnasium.make_vec(name, 3, vectorization_mode="sync", **options), wide, 11)
     together = rolled(gymnasium.make_vec(name, 3, backend=backend, **options), wide, 11)

@@ -208,10 +208,15 @@ def test_a_csv_without_keys_is_exact() -> None:
     assert is_road("LAP.GPX")
 
 
-@pytest.mark.parametrize("closed", [False, True])
-@pytest.mark.parametrize("key", ["", "#noise=0.3"])
 @pytest.mark.parametrize(
-    "style", [{}, {"sep": ";", "decimal": ","}, {"sep": "\t", "encoding": "utf-16"}], ids=["plain", "german", "wide"]
+    ("style", "key", "closed"),
+    [
+        ({}, "", False),
+        ({}, "#noise=0.3", True),
+        ({"sep": ";", "decimal": ","}, "#noise=0.3", False),
+        ({"sep": "\t", "encoding": "utf-16"}, "", True),
+    ],
+    ids=["plain", "noisy", "german", "wide"],
 )
 def test_what_is_shown_is_what_is_driven(style: dict[str, str], key: str, closed: bool, tmp_path: FilePath) -> None:
     """One course from a file for the preview, for Python, for a scenario; whatever its columns are called."""
