@@ -8,7 +8,7 @@ from typing import Any
 from steerkit._support.errors import known
 from steerkit._support.plugins import fingerprint, is_outside
 from steerkit.diagram.block import Block
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.scenario import Scenario, catalogue
 from steerkit.scenario.catalogue import OWN, make_controller
 

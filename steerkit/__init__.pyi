@@ -29,9 +29,9 @@ from .learning.learn import learn as learn
 from .paths.courses import course as course
 from .paths.path import Path as Path
 from .paths.tracker import PathTracker as PathTracker
-from .plants.linear_single_track import LinearSingleTrack as LinearSingleTrack
-from .plants.nonlinear_single_track import NonlinearSingleTrack as NonlinearSingleTrack
 from .plants.sensors import Sensors as Sensors
+from .plants.single_track import LinearSingleTrack as LinearSingleTrack
+from .plants.single_track import NonlinearSingleTrack as NonlinearSingleTrack
 from .plants.speed_driver import ConstantSpeed as ConstantSpeed
 from .plants.speed_driver import SpeedDriver as SpeedDriver
 from .plants.steering_actuator import SteeringActuator as SteeringActuator

@@ -10,8 +10,7 @@ import numpy as np
 from steerkit._support.errors import require
 from steerkit.diagram.block import State
 from steerkit.plants.single_track import Car
-from steerkit.vehicles import BMW_320I, FORD_ESCORT, G, Vehicle
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import BMW_320I, FORD_ESCORT, G, Vehicle, vehicle_text
 
 _VANAGON = (1478.8979637767998, 1.1507916024, 1.3211363976000001)  # kg, m, m
 VW_VANAGON = replace(

@@ -41,9 +41,8 @@ from steerkit.identification.ahead import HORIZONS, look_ahead
 from steerkit.identification.residual import Residual, learn_residual
 from steerkit.identification.tyres import Tyres, accelerations, identify_tyres, pacejka
 from steerkit.logs import read_drive
-from steerkit.plants.nonlinear_single_track import fiala
-from steerkit.vehicles import VW_PASSAT, G, Vehicle, scaled
-from steerkit.vehicles.parameters import drawn_car
+from steerkit.plants.single_track import fiala
+from steerkit.vehicles import VW_PASSAT, G, Vehicle, drawn_car, scaled
 
 NOISE = (0.02, 0.05, 0.1)
 DT, TRAIN, REST, FINE = 0.02, 30.0, 60.0, 10

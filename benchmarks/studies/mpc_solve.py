@@ -28,11 +28,10 @@ from rich.console import Console
 from rich.progress import track
 
 from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
-from steerkit.controllers.mpc.programme import in_place
-from steerkit.controllers.mpc.qp import DATA
+from steerkit.controllers.mpc.programme import DATA, in_place
 from steerkit.paths.courses import course
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop

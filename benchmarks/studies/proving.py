@@ -24,12 +24,10 @@ import numpy as np
 from steerkit import LinearSingleTrack, Scenario, vehicle
 from steerkit.logs import read_drive
 from steerkit.proving.evaluate import evaluate
-from steerkit.proving.find import found
 from steerkit.proving.manoeuvre import manoeuvre, names
-from steerkit.proving.runs import Run
+from steerkit.proving.runs import Run, found
 from steerkit.proving.simulate import of_fleet, simulated
-from steerkit.vehicles import Vehicle
-from steerkit.vehicles.parameters import FleetCar, fleet
+from steerkit.vehicles import FleetCar, Vehicle, fleet
 
 NOISE = {"r": math.radians(0.1), "a_y": 0.05, "delta_sw": math.radians(0.1), "beta": math.radians(0.1), "v": 0.02}
 """Standard deviation of each signal's white noise at 100 Hz, in SI."""

@@ -30,7 +30,7 @@ from steerkit.diagram.loop import Loop, Wire
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import course
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed

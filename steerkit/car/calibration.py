@@ -23,7 +23,7 @@ from steerkit.estimators.estimate import Estimated
 from steerkit.paths.path import Path
 from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.task import DT
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import vehicle_text
 
 SHARES = {"sine": 0.25, "steps": 0.25, "bends": 0.5}
 """Of the driving time, by wave, in this order."""

@@ -26,8 +26,7 @@ from steerkit.car.state_machine import StateLimits
 from steerkit.diagram.units import FACTORS, degrees_of, radians_of
 from steerkit.paths.courses import course
 from steerkit.paths.path import Path
-from steerkit.vehicles import Vehicle, vehicle
-from steerkit.vehicles.parameters import vehicle_of
+from steerkit.vehicles import Vehicle, vehicle, vehicle_of
 
 FORMAT = "steerkit car 1"
 TABLES = (

@@ -16,7 +16,7 @@ from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay
 from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
 from steerkit.task import DT
-from steerkit.vehicles.parameters import tables_of
+from steerkit.vehicles import tables_of
 
 EVERY = 20
 """Samples from one message of estimates to the next."""

@@ -14,7 +14,7 @@ from steerkit.car.frames import FrameReader
 from steerkit.controllers.stanley import Stanley
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import Vehicle

@@ -23,8 +23,7 @@ from steerkit.logs.foxglove import to_mcap
 from steerkit.logs.tables import write_mf4
 from steerkit.scenario import Scenario
 from steerkit.scenario.lateral import lateral_controller
-from steerkit.vehicles import vehicle
-from steerkit.vehicles.parameters import tables_of
+from steerkit.vehicles import tables_of, vehicle
 
 LAYOUTS = {".json": "foxglove", ".xml": "plotjuggler"}
 

@@ -20,9 +20,8 @@ from steerkit.paths.courses import course, names
 from steerkit.paths.path import Path as CoursePath
 from steerkit.plots.drive import plot_course
 from steerkit.plots.style import save
-from steerkit.vehicles import VEHICLES, Vehicle, fleet
+from steerkit.vehicles import VEHICLES, FleetCar, Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
-from steerkit.vehicles.parameters import FleetCar
 
 ALSO: dict[str, str] = WORDS["courses"]
 """What else can be named, and what it is."""

@@ -25,16 +25,14 @@ from steerkit.logs import read_drive
 from steerkit.logs.drive import Drive
 from steerkit.proving import page
 from steerkit.proving.evaluate import Evaluation, evaluate
-from steerkit.proving.find import found
 from steerkit.proving.manoeuvre import Manoeuvre, read_limits, some
-from steerkit.proving.runs import Run
+from steerkit.proving.runs import Run, found
 from steerkit.proving.simulate import of_fleet, simulated
 from steerkit.scenario import Scenario
 from steerkit.scenario.scenario import read_scenario
 from steerkit.task import DT
-from steerkit.vehicles import Vehicle
+from steerkit.vehicles import Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
-from steerkit.vehicles.parameters import fleet
 
 RECORDED = {name: name for name in ("delta_sw", "v", "r", "a_y", "beta", "x", "y", "psi", "e")}
 RECORDED |= {"delta_sw_cmd": "command"}

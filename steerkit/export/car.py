@@ -1,8 +1,7 @@
 """Cars out: a vehicle's numbers as other programs write them, a CommonRoad parameter set and a row like opendbc's."""
 
 from steerkit._support.errors import require
-from steerkit.vehicles import Vehicle
-from steerkit.vehicles.parameters import G
+from steerkit.vehicles import G, Vehicle
 
 
 def commonroad(car: Vehicle) -> str:

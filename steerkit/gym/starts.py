@@ -18,8 +18,7 @@ from steerkit.diagram.maths import Scalar
 from steerkit.doe import HeldAngle, OutputElement
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.disturbed_plant import GUST_STATES, DisturbedPlant
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.single_track import SingleTrackState
+from steerkit.plants.single_track import NonlinearSingleTrack, SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator, TorqueSteering
 from steerkit.scenario import END_MARGIN
 

@@ -11,8 +11,7 @@ from scipy.integrate import cumulative_trapezoid
 from steerkit.identification.fit import SLOW_ENOUGH, Identified, Simulator
 from steerkit.logs.drive import HEADING_WINDOW, Array, Drive
 from steerkit.metrics import rms
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.single_track import SingleTrackState
+from steerkit.plants.single_track import LinearSingleTrack, SingleTrackState
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import Rollout
 

@@ -24,12 +24,11 @@ from steerkit.diagram.simulation import Log
 from steerkit.estimators.estimate import NORMAL_95
 from steerkit.logs.drive import Array, Drive
 from steerkit.metrics import rms
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plots.style import COLOURS, new_figure, style
-from steerkit.vehicles import Vehicle, vehicle
-from steerkit.vehicles.parameters import G, vehicle_text
+from steerkit.vehicles import G, Vehicle, vehicle, vehicle_text
 
 BLOCK, BLOCKS = 2.0, 8
 """Length of the blocks, in times after which the residual's autocorrelation has died out; and how many at least."""

@@ -16,7 +16,7 @@ from steerkit.diagram.units import degrees_of
 from steerkit.logs import Drive
 from steerkit.metrics import largest, rms
 from steerkit.paths.path import Path
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import RecordedSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, style

@@ -1,9 +1,5 @@
 """The public names of steerkit.metrics."""
 
-from .comfort import r79_acceleration as r79_acceleration
-from .comfort import r79_jerk as r79_jerk
-from .comfort import wd_filter as wd_filter
-from .comfort import weighted_acceleration as weighted_acceleration
 from .drive import GOOD as GOOD
 from .drive import Criterion as Criterion
 from .drive import Summary as Summary
@@ -24,3 +20,7 @@ from .table import TABLE as TABLE
 from .table import Metric as Metric
 from .table import measures as measures
 from .table import measures_of_log as measures_of_log
+from .table import r79_acceleration as r79_acceleration
+from .table import r79_jerk as r79_jerk
+from .table import wd_filter as wd_filter
+from .table import weighted_acceleration as weighted_acceleration

@@ -1,17 +1,99 @@
 """The list of all metrics: what each is called, its unit, its source, and which way is better; and all of one drive."""
 
 import csv
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy  # its parts load when they are first used
 from numpy.typing import ArrayLike
 
+from steerkit.diagram.maths import Array
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
-from steerkit.metrics.comfort import r79_acceleration, r79_jerk, weighted_acceleration
 from steerkit.metrics.drive import same_shapes, summary
-from steerkit.metrics.signals import accelerations, largest, magnitude_at, reversal_rate, rms, share_within, time_over
+from steerkit.metrics.signals import (
+    accelerations,
+    largest,
+    lateral_jerk,
+    magnitude_at,
+    reversal_rate,
+    rms,
+    samples,
+    share_within,
+    step,
+    time_over,
+)
+
+R79_CUTOFF = 0.5
+"""Cut-off of the filter of lateral acceleration [Hz]; source: UN R79, 03 series, annex 8."""
+WEIGHTING_RATE = 1000.0
+"""Least rate at which ISO 2631-1's filter runs [Hz]; slower records are interpolated first."""
+
+
+def r79_acceleration(t: ArrayLike, a_y: ArrayLike) -> Array:
+    """Lateral acceleration through a fourth-order Butterworth low-pass at 0.5 Hz [m/s^2], (T,).
+
+    One pass forward, so it lags by about 0.8 s; before the record a_y is taken to have been what it is at its start.
+    t (T,) [s], even; a_y (T,) [m/s^2] at the centre of gravity. Raises ValueError for uneven t or dt above 0.25 s.
+    Source: UN R79, 03 series, annex 8; it asks for at least 100 samples a second, which is not enforced.
+    """
+    values, dt = samples("r79_acceleration", a_y), step(t, "r79_acceleration", a_y)
+    if dt > 0.25:
+        raise ValueError(f"r79_acceleration: dt = {dt:g} s, expected <= 0.25 s for a cut-off of {R79_CUTOFF:g} Hz")
+    sos = scipy.signal.butter(4, R79_CUTOFF, fs=1.0 / dt, output="sos")
+    filtered: Array = scipy.signal.sosfilt(sos, values, zi=scipy.signal.sosfilt_zi(sos) * values[0])[0]
+    return filtered
+
+
+def r79_jerk(t: ArrayLike, a_y: ArrayLike) -> Array:
+    """Lateral jerk of UN R79 [m/s^3]: the 500 ms moving average of the rate of `r79_acceleration`.
+
+    t (T,) [s], even; a_y (T,) [m/s^2]. Returns one value for each sample that has 0.5 s before it. Raises ValueError
+    as `lateral_jerk` does. Source: UN R79, 03 series, 5.6.2.1.3 (limit 5 m/s^3) and annex 8.
+    """
+    return lateral_jerk(t, r79_acceleration(t, a_y))
+
+
+def wd_filter(rate: float) -> Array:
+    """ISO 2631-1's weighting W_d (horizontal, seated) as digital second-order sections at `rate` [Hz], (3, 6).
+
+        H(s) = s^2/(s^2 + sqrt(2) w1 s + w1^2) * w2^2/(s^2 + sqrt(2) w2 s + w2^2)
+               * (1 + s/w3)/(1 + s/(Q4 w4) + s^2/w4^2)
+        w = 2 pi f;  f1 = 0.4 Hz, f2 = 100 Hz, f3 = f4 = 2 Hz, Q4 = 0.63
+
+    by the bilinear transform; below rate/20 its gain is H's within 1 %. Raises ValueError for a rate below 1000 Hz.
+    Source: ISO 2631-1:1997, annex A, table A.1.
+    """
+    if not rate > 0.999 * WEIGHTING_RATE:
+        raise ValueError(f"wd_filter: rate {rate:g} Hz, expected >= {WEIGHTING_RATE:g} Hz")
+    w1, w2, w3, q4 = 2.0 * math.pi * 0.4, 2.0 * math.pi * 100.0, 2.0 * math.pi * 2.0, 0.63
+    stages = (
+        ([1.0, 0.0, 0.0], [1.0, math.sqrt(2.0) * w1, w1**2]),
+        ([w2**2], [1.0, math.sqrt(2.0) * w2, w2**2]),
+        ([1.0 / w3, 1.0], [1.0 / w3**2, 1.0 / (q4 * w3), 1.0]),
+    )
+    return np.concatenate([scipy.signal.tf2sos(*scipy.signal.bilinear(b, a, rate)) for b, a in stages])
+
+
+def weighted_acceleration(t: ArrayLike, a_y: ArrayLike) -> float:
+    """Frequency-weighted RMS acceleration a_w of the whole record [m/s^2]: a_y through W_d, then the RMS.
+
+    t (T,) [s], even; a_y (T,) [m/s^2]. Records below 1000 Hz are interpolated by a band-limited filter first, for at
+    20 Hz the bilinear transform would bend W_d; what lies above half the record's own rate it cannot know. Before the
+    record a_y is taken to have been what it is at its start, so a steady bend weighs nothing.
+    Comfort reactions (annex C): below 0.315 not uncomfortable, 0.5 to 1 fairly uncomfortable, above 2 extremely.
+    Raises ValueError for uneven t. Source: ISO 2631-1:1997, equation 1, k_d = 1.
+    """
+    values, dt = samples("weighted_acceleration", a_y), step(t, "weighted_acceleration", a_y)
+    times = math.ceil((1.0 - 1e-6) * WEIGHTING_RATE * dt)
+    # both ends held for 2 s: the interpolator sees no edge there, and the weighting starts at rest
+    held = math.ceil(2.0 / dt)
+    long = np.pad(values - values[0], held, mode="edge")
+    fine = scipy.signal.resample_poly(long, times, 1, padtype="edge")
+    weighted = scipy.signal.sosfilt(wd_filter(times / dt), fine)
+    return rms(weighted[held * times : (held + len(values)) * times])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,7 @@ from steerkit._support.random import normals, seed_state
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
 from steerkit.diagram.maths import Scalar
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.single_track import V_DYNAMIC, Car, SingleTrack, SingleTrackState
+from steerkit.plants.single_track import V_DYNAMIC, Car, NonlinearSingleTrack, SingleTrack, SingleTrackState
 
 _STREAM = 11  # of `seed_state`: the gusts'
 GUST_STATES = 7

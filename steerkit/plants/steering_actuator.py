@@ -14,8 +14,7 @@ from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.task import DT, STOP
-from steerkit.vehicles import Vehicle
-from steerkit.vehicles.parameters import table_of
+from steerkit.vehicles import Vehicle, table_of
 from steerkit.vehicles.rollout import lag_share, lag_step
 
 _SLOWEST = 1.0  # m/s: below, a wheel steered by torque turns as at this speed

@@ -12,8 +12,8 @@ import scipy  # its parts load when they are first used
 
 from steerkit._support.files import toml_of
 from steerkit.logs.channels import Array
-from steerkit.metrics.comfort import r79_acceleration, r79_jerk
 from steerkit.metrics.signals import rms
+from steerkit.metrics.table import r79_acceleration, r79_jerk
 from steerkit.proving.manoeuvre import SIDES, Limit, Manoeuvre
 from steerkit.proving.runs import Run, checked, prepared
 from steerkit.vehicles import Vehicle

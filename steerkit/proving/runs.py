@@ -1,14 +1,16 @@
-"""A manoeuvre's runs: signals about the time at which the input began, in one sign, filtered as it asks."""
+"""A manoeuvre's runs: signals about the time at which the input began, in one sign, filtered; and found in a log."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy  # its parts load when they are first used
 
 from steerkit._support.errors import require
 from steerkit.logs.channels import Array
-from steerkit.proving.manoeuvre import SIDES, Manoeuvre
+from steerkit.logs.drive import Drive
+from steerkit.proving.manoeuvre import SIDES, SPACING, Manoeuvre
 
 NEEDED = ("delta_sw", "v", "r", "a_y")
 SIGNED = ("delta_sw_cmd", "delta_sw", "r", "a_y", "beta", "e", "y", "psi")
@@ -97,3 +99,121 @@ def checked(run: Run, manoeuvre: Manoeuvre) -> Run:
             if not found and (most := float(np.abs(run[name]).max())) > limit:
                 found = f"|{name}| = {most:.2f} {unit}, {limit:g} allowed"
     return replace(run, invalid=found)
+
+
+LIKE = {"delta_sw": 0.95, "r": 0.85}
+"""From which correlation with the form on a stretch counts: of the wheel, and of the yaw rate on a course."""
+SMALLEST = {"delta_sw": 0.02, "r": 0.02}
+"""Size of the form that is not noise [rad], [rad/s]."""
+PACES = (0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5)
+"""Lengths of a course that are looked for, over that of the manoeuvre's speed: drivers take it in their own way."""
+
+
+def found(manoeuvre: Manoeuvre, drive: Drive) -> tuple[Manoeuvre, list[Run], list[str]]:
+    """The manoeuvre as it was driven in a log, at the speed that it was; its runs; and what is to be known of them.
+
+    A form that has a beginning and an end, straight driving before it included, is looked for by its normalised
+    correlation with the angle of the wheel, or with the yaw rate for a lane change. Steady driving, random steering and
+    lane keeping have none: there the whole drive is the run, and evaluations take of it what they can use.
+    a_y = v r: a log tells no rate of the sideslip, which is in the a_y of a car only while that changes.
+    Source: Lewis 1995 (normalised correlation).
+    """
+    notes = ["a_y = v r: the log has no lateral acceleration of its own"]
+    signals: dict[str, Array] = {"delta_sw": drive.delta_sw, "v": drive.v, "r": drive.r, "a_y": drive.v * drive.r}
+    signals |= {key: value for key, value in vars(drive).items() if key in ("x", "y", "psi") and value is not None}
+    lane_change = manoeuvre.course.startswith("iso3888")
+    if manoeuvre.evaluation in ("steady", "course") and not lane_change:
+        notes.append("the whole drive is evaluated; the conditions of the manoeuvre are not asked of it")
+        return manoeuvre, [Run(t=drive.t, signals=signals, whole=True)], notes
+    if manoeuvre.input is not None and manoeuvre.input.form == "random":
+        notes.append("stretches of even speed are evaluated; the conditions of the manoeuvre are not asked of them")
+        return manoeuvre, _even(drive, signals, 3.0 * manoeuvre.input.period), notes
+    form, name, places = _looked_for(manoeuvre, drive)
+    if not places:
+        notes.append(f"not in this log: no stretch whose {name} is like {form} (correlation {LIKE[name]:g})")
+        return manoeuvre, [], notes
+    v = float(np.median([drive.v[begin:end].mean() for begin, end, _ in places]))
+    driven = manoeuvre.at(v=v)
+    if abs(v - manoeuvre.conditions.v) > manoeuvre.conditions.v_tolerance:
+        notes.append(f"driven at {v:.1f} m/s, not at {manoeuvre.conditions.v:g}: figures are of that speed")
+    runs, count = list[Run](), {"left": 0, "right": 0}
+    settle = round(manoeuvre.conditions.settle / drive.dt)
+    for begin, end, sign in sorted(places):
+        side = "left" if sign > 0.0 else "right"
+        count[side] += 1
+        part = slice(max(begin - settle, 0), end)
+        gap = "" if drive.measured[part].all() else "samples are missing"
+        runs.append(
+            Run(
+                t=drive.t[part] - drive.t[begin],
+                signals={key: value[part] for key, value in signals.items()},
+                side=side,
+                number=count[side],
+                invalid=gap,
+            )
+        )
+    return driven, runs, notes
+
+
+def _even(drive: Drive, signals: dict[str, Array], least: float) -> list[Run]:
+    """Stretches of `least` [s] and more in which the speed stays within 1.5 m/s of its mean so far."""
+    runs, edges = list[Run](), np.flatnonzero(np.diff(drive.driving.astype(int), prepend=0, append=0))
+    for begin, end in edges.reshape(-1, 2).tolist():
+        while begin < end:
+            mean = np.cumsum(drive.v[begin:end]) / np.arange(1, end - begin + 1)
+            off = np.abs(drive.v[begin:end] - mean) > 1.5
+            length = int(np.argmax(off)) if off.any() else end - begin
+            if length * drive.dt >= least:
+                cut = {key: value[begin : begin + length] for key, value in signals.items()}
+                runs.append(Run(t=np.arange(length) * drive.dt, signals=cut, number=len(runs) + 1, whole=True))
+            begin += length
+    return runs
+
+
+def _looked_for(manoeuvre: Manoeuvre, drive: Drive) -> tuple[str, str, list[tuple[int, int, float]]]:
+    """What the form is called, the signal, and (begin, end, sign) of each stretch like it, none over another."""
+    straight = np.zeros(round(min(manoeuvre.conditions.settle, 1.0) / drive.dt))
+    if manoeuvre.input is not None:
+        at = np.arange(0.0, manoeuvre.seconds, drive.dt)
+        wave = manoeuvre.required.wave
+        forms = [np.interp(at, np.arange(len(wave)) * SPACING, wave)]
+        what, name = f"the input of {manoeuvre.name}", "delta_sw"
+    else:
+        v = float(np.median(drive.v[drive.driving]))
+        path = manoeuvre.at(v=v).path()
+        turned = np.flatnonzero(np.abs(path.samples.kappa) > 1e-4)
+        begin, end = (path.samples.s[k] for k in (turned[0], turned[-1]))
+        forms = [v * path.kappa(np.arange(begin, end, v * drive.dt / pace)) for pace in PACES]
+        what, name = f"the course of {manoeuvre.name}", "r"
+    signal = getattr(drive, name)
+    candidates: list[tuple[float, int, int, float]] = []
+    for form in forms:
+        whole = np.concatenate((straight, form))
+        if len(whole) >= len(signal):
+            continue
+        correlation, size = correlated(signal, whole)
+        size = size * np.abs(form).max()
+        for sign in (1.0, -1.0):
+            like = np.where(sign * size >= SMALLEST[name], sign * correlation, 0.0)
+            for k in scipy.signal.find_peaks(like, height=LIKE[name], distance=len(form))[0]:
+                candidates.append((float(like[k]), int(k) + len(straight), int(k) + len(whole), sign))
+    kept: list[tuple[int, int, float]] = []
+    for _, first, last, sign in sorted(candidates, reverse=True):
+        if all(last <= a or first >= b for a, b, _ in kept):
+            kept.append((first, last, sign))
+    return what, name, kept
+
+
+def correlated(signal: Array, form: Array) -> tuple[Array, Any]:
+    """Normalised correlation of a form (m,) with each stretch of a signal (n,), and its size there, each (n - m + 1,).
+
+    rho_k = sum (x_{k+i} - mean) (f_i - mean f)/(sqrt(sum (x - mean)^2) sqrt(sum (f - mean f)^2))
+    """
+    m, centred = len(form), form - form.mean()
+    norm = float(np.sqrt(centred @ centred))
+    product = scipy.signal.fftconvolve(signal, centred[::-1], mode="valid")
+    total = np.concatenate(([0.0], np.cumsum(signal)))
+    square = np.concatenate(([0.0], np.cumsum(signal**2)))
+    variance = (square[m:] - square[:-m]) - (total[m:] - total[:-m]) ** 2 / m
+    spread = np.sqrt(np.maximum(variance, 1e-12))
+    return product / (spread * norm), product / norm**2

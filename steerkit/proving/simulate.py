@@ -14,7 +14,7 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.maths import Array, Table
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.paths.courses import straight
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.proving.manoeuvre import Manoeuvre
@@ -23,7 +23,7 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import steering_loop
 from steerkit.scenario.catalogue import make_controller
 from steerkit.scenario.scenario import straightest
-from steerkit.vehicles.parameters import FleetCar
+from steerkit.vehicles import FleetCar
 
 DT = 0.01
 """Sample time of an open-loop run [s]."""

@@ -24,9 +24,7 @@ from steerkit.doe import Integrator, LowPass, OutputElement, PlainAngle, WithEle
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.paths.path import Path
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.single_track import Car, SingleTrack
+from steerkit.plants.single_track import Car, LinearSingleTrack, NonlinearSingleTrack, SingleTrack
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import GateModel

@@ -22,8 +22,8 @@ from steerkit.paths.importers.reading import KINDS, Address, is_road, read_cours
 from steerkit.paths.path import Path
 from steerkit.paths.waypoints import mended, read_columns
 from steerkit.plants.disturbed_plant import DisturbedPlant
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver, SpeedProfile, ceiling
 from steerkit.plants.steering_actuator import (
     SteeringActuator,
@@ -34,8 +34,7 @@ from steerkit.plants.steering_actuator import (
 )
 from steerkit.scenario.catalogue import plant_kind
 from steerkit.task import A_Y_MAX, DT
-from steerkit.vehicles import G, Vehicle, vehicle, vehicle_of
-from steerkit.vehicles.parameters import tables_of
+from steerkit.vehicles import G, Vehicle, tables_of, vehicle, vehicle_of
 
 RANDOM_COURSES = {"random": (500.0, 0.1), "sweeping": (2000.0, 0.01)}
 """Length [m] and largest curvature [1/m] of random courses, by what their names begin with."""

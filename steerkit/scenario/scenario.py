@@ -24,8 +24,7 @@ from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed
 from steerkit.scenario.catalogue import AUTO, RECOVERIES, DesignModel, make_recovery, plant_kind
 from steerkit.scenario.parts import PARTS, Car, Course, Disturbances, Driver, Knowledge, Sensing, Steering
-from steerkit.vehicles import Vehicle, drawn_car
-from steerkit.vehicles.parameters import rows_of
+from steerkit.vehicles import Vehicle, drawn_car, rows_of
 
 FORMAT = "steerkit scenario 2"
 END_MARGIN = 5.0

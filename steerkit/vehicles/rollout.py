@@ -12,7 +12,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.task import A_Y_MAX, DT, JERK_MAX, STOP
-from steerkit.vehicles.parameters import Vehicle, require_vehicle
+from steerkit.vehicles import Vehicle, require_vehicle
 
 SLOWEST = 0.5
 """Speed [m/s] below which bounds and poles that grow as the car slows down stay as they are."""

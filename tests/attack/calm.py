@@ -23,8 +23,7 @@ import numpy as np
 from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core, Event, Frame, Output, Send, Tick
 from steerkit.paths.courses import course
-from steerkit.vehicles import VW_PASSAT
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import VW_PASSAT, vehicle_text
 from tests.attack import wire
 from tests.attack.bench import Attack, Bench, Drive
 

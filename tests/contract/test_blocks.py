@@ -48,9 +48,8 @@ from steerkit.gym.task import Agent
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.disturbed_plant import DisturbedPlant
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.plants.speed_driver import (
     ConstantSpeed,
     CurveSpeedDriver,

@@ -32,9 +32,8 @@ from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.export.c import export_c
 from steerkit.paths.courses import course, figure_eight
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, RecordedSpeed, SpeedDriver, SpeedProfile
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.scenario.assembly import placed, steering_loop

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("vehiclemodels")
 
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.vehicles import BMW_320I, FORD_ESCORT
 
 

@@ -28,8 +28,7 @@ from steerkit.car.protocol import Remark, encode
 from steerkit.cli import app
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
-from steerkit.vehicles import vehicle
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import vehicle, vehicle_text
 from tests.support.places import ROOT
 from tests.support.recordings import small
 

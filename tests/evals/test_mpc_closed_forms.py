@@ -15,8 +15,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.simulation import simulate
 from steerkit.metrics import largest, rms
 from steerkit.paths.courses import course
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
 from tests.support.predictive import ahead, steady, table
 from tests.support.straight_road import PASSAT, looped

@@ -10,7 +10,7 @@ from steerkit import compile, course, simulate
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.learning.learner_state import untrained
 from steerkit.learning.settings import DEFAULT
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled

@@ -11,8 +11,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.paths.courses import circle, straight
 from steerkit.paths.path import Path
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from tests.support.straight_road import PASSAT, looped
 
 RADIUS = 40.0

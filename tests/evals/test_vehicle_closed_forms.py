@@ -11,9 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack, fiala
-from steerkit.plants.single_track import V_DYNAMIC, V_KINEMATIC, dynamic_share
+from steerkit.plants.single_track import (
+    V_DYNAMIC,
+    V_KINEMATIC,
+    LinearSingleTrack,
+    NonlinearSingleTrack,
+    dynamic_share,
+    fiala,
+)
 from steerkit.vehicles import VEHICLES, VW_PASSAT, G, Vehicle
 
 PLANTS = [LinearSingleTrack, NonlinearSingleTrack]

@@ -9,8 +9,8 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.loop import Loop
 from steerkit.doe import Integrator
 from steerkit.paths.courses import circle
-from steerkit.plants.linear_single_track import LinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import SpeedDriver
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop

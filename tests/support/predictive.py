@@ -11,7 +11,7 @@ import pytest
 
 from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
 from steerkit.controllers.mpc.programme import PREDICTION, Programme
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import vehicle
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from steerkit import simulate
 from steerkit.diagram.loop import Loop
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.vehicles import VW_PASSAT as BASE

@@ -7,7 +7,7 @@ import numpy as np
 
 from steerkit.diagram.block import Block
 from steerkit.diagram.units import radians_of
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn
 from steerkit.vehicles import VW_PASSAT as PASSAT
 from steerkit.vehicles import Vehicle

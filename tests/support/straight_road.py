@@ -6,7 +6,7 @@ from steerkit.controllers.delay import delayed_stanley
 from steerkit.diagram.loop import Loop
 from steerkit.paths.courses import straight
 from steerkit.paths.path import Path
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import placed, steering_loop

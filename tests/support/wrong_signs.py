@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

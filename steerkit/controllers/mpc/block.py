@@ -12,8 +12,7 @@ import numpy as np
 
 from steerkit._support.errors import number, require
 from steerkit.controllers.mpc.path_model import NX, V_HIGH, V_LOW, PathModel
-from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Programme, Stages
-from steerkit.controllers.mpc.qp import StageQp
+from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION, Programme, StageQp, Stages
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out

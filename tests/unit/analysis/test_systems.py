@@ -11,7 +11,7 @@ from steerkit.compiled import compile
 from steerkit.diagram import maths as m
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.scenario.assembly import placed
 from tests.support.parts import Gain
 from tests.support.straight_road import PASSAT, ROAD, steered

@@ -13,7 +13,7 @@ from steerkit.car.protocol import ESTIMATES, Snapshot
 from steerkit.car.state_machine import Mode
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import Estimated
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import vehicle_text
 from tests.support.calibrated_car import CONFIG, DELAY, LAG, OFFSET, RATE_ZERO, RATIO, Made
 
 NAN = math.nan

@@ -20,8 +20,7 @@ from steerkit.car import recording as recordings
 from steerkit.car.config import load, shipped
 from steerkit.car.core import Core, End, Frame, Link, Note, Packet, RecordingFault, Send, Tick
 from steerkit.car.state_machine import Mode
-from steerkit.vehicles import vehicle
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import vehicle, vehicle_text
 from tests.support.car_world import World, setup
 from tests.support.recordings import LINES, chunked, chunks_of, flipped, full_disk, small, until
 

@@ -14,8 +14,7 @@ from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.scenario.scenario import write_scenario
-from steerkit.vehicles import VEHICLES
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import VEHICLES, vehicle_text
 from tests.support.own_controller import own_controller
 from tests.support.yard import yard
 

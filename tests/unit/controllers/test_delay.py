@@ -16,8 +16,7 @@ from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import PlainAngle
 from steerkit.paths.courses import course, straight
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.vehicles.rollout import yaw_gain
 from tests.support.straight_road import PASSAT, looped
 

@@ -13,8 +13,7 @@ from steerkit.controllers.lqr import Lqr, LqrDesign, cost_to_go
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.paths.courses import circle
 from steerkit.paths.path import Path
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario import Scenario
 from tests.support.straight_road import PASSAT, looped

@@ -13,7 +13,7 @@ from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.lqr import Lqr, LqrDesign
 from steerkit.controllers.margins import Doubt, SteeredCar, damping, least_damping, linearised
 from steerkit.controllers.stanley import Stanley
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.vehicles import VW_PASSAT as PASSAT
 
 MATRICES = LinearSingleTrack(vehicle=PASSAT).matrices

@@ -16,7 +16,7 @@ from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
 from steerkit.paths.courses import straight
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
 from steerkit.scenario.catalogue import make_controller

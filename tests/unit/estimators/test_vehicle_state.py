@@ -14,9 +14,8 @@ from steerkit.estimators import vehicle_state
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.metrics.signals import rms
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.vehicles import VW_PASSAT
 from tests.support.road import heard, road
 from tests.support.steered_car import quantities

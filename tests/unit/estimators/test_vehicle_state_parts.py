@@ -30,9 +30,7 @@ from steerkit.estimators.vehicle_state import (
     sorted_in,
     turned_on,
 )
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.single_track import SingleTrack
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack, SingleTrack
 from steerkit.vehicles import VW_PASSAT
 
 NAN = math.nan

@@ -16,7 +16,7 @@ from steerkit.estimators import vehicle_state
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import FOLLOWED, Followed, VehicleState
 from steerkit.metrics.signals import rms
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive_loop
 from steerkit.vehicles import VW_PASSAT

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from steerkit.export.car import commonroad, opendbc
-from steerkit.vehicles import vehicle
-from steerkit.vehicles.parameters import G
+from steerkit.vehicles import G, vehicle
 
 
 def test_a_commonroad_set_holds_the_same_axle_forces() -> None:

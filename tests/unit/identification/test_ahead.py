@@ -11,7 +11,7 @@ from steerkit import simulate
 from steerkit.diagram.loop import Loop
 from steerkit.identification import Drive
 from steerkit.identification.ahead import HORIZONS, QUANTITIES, Ahead, look_ahead
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from tests.support.recorded_cars import BASE, DT, TRUE, steering
 

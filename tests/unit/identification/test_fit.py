@@ -17,8 +17,7 @@ from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.loop import Loop
 from steerkit.identification import Drive, identify, read_drive, shipped_drives
 from steerkit.identification.fit import Identified, Simulator, _Problem, predict, priors, stiffnesses
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import steering_of
 from steerkit.scenario import Scenario

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from steerkit.plants.disturbed_plant import DisturbedPlant
-from steerkit.plants.linear_single_track import LinearSingleTrack
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
-from steerkit.plants.single_track import SingleTrack
+from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack, SingleTrack
 from steerkit.vehicles import VW_PASSAT
 from tests.support.straight_on import straight_on
 

@@ -16,7 +16,7 @@ from steerkit.diagram.simulation import simulate
 from steerkit.export.fmu import export_fmu
 from steerkit.paths.courses import course
 from steerkit.plants.fmu import FmuPlant
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.vehicles import VW_PASSAT as CAR
 from tests.support.places import SUPPORT
 from tests.support.straight_road import looped

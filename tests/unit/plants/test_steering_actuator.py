@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.diagram.units import radians_of
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import (
     SteeringActuator,
     SteeringColumn,
@@ -18,8 +18,7 @@ from steerkit.plants.steering_actuator import (
     TorqueSteering,
     steering_of,
 )
-from steerkit.vehicles import VW_PASSAT
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import VW_PASSAT, vehicle_text
 from tests.support.stepped import run
 
 

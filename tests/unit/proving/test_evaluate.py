@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.studies.proving import closed_forms, linear, noisy
-from steerkit.metrics.comfort import r79_acceleration
+from steerkit.metrics.table import r79_acceleration
 from steerkit.proving.evaluate import Evaluation, crossing, evaluate, of_repeats, peak, plateaus
 from steerkit.proving.manoeuvre import Limit, Manoeuvre, manoeuvre, names
 from steerkit.proving.runs import Run

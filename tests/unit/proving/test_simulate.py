@@ -12,7 +12,7 @@ from steerkit.proving.evaluate import evaluate
 from steerkit.proving.manoeuvre import manoeuvre, names
 from steerkit.proving.simulate import differing, of_fleet, on_course, simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
-from steerkit.vehicles.parameters import fleet
+from steerkit.vehicles import fleet
 
 
 @pytest.mark.parametrize("plant", ["linear", "nonlinear"])

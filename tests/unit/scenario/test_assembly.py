@@ -18,8 +18,8 @@ from steerkit.diagram.simulation import simulate
 from steerkit.doe import Corrected, Integrator, LowPass
 from steerkit.paths.courses import circle, course
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
 from steerkit.plants.sensors import Sensors
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario.assembly import controller_of, placed, steering_loop, with_controller

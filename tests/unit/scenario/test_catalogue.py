@@ -22,7 +22,7 @@ from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
 from steerkit.doe import WithElement
 from steerkit.paths.courses import course
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.scenario import Scenario, catalogue
 from steerkit.scenario.catalogue import CONTROLLERS, DesignModel, make_controller, make_element, make_recovery
 from steerkit.scenario.drive import assembled

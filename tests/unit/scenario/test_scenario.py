@@ -18,8 +18,7 @@ from steerkit.scenario import END_MARGIN, Scenario
 from steerkit.scenario.parts import Course, Driver, Sensing
 from steerkit.scenario.scenario import FORMAT, read_scenario, tables, write_scenario
 from steerkit.vehicles import VW_PASSAT as PASSAT
-from steerkit.vehicles import G, vehicle
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import G, vehicle, vehicle_text
 from tests.support.yard import yard
 
 MULTI_BODY = "benchmarks.peers.commonroad:CommonRoadMultiBody"

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.peers.commonroad import VANAGON_FILE, CommonRoadMultiBody
 from benchmarks.scenarios import MULTI_BODY
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.scenario import Scenario
 from steerkit.vehicles import vehicle
 from tests.support.straight_on import straight_on

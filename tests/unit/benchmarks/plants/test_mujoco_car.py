@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.vehicles import vehicle
 from tests.support.straight_on import straight_on
 

@@ -11,7 +11,7 @@ from benchmarks.run.changes import CHANGES, SAFE, Job, carried, driven, exchange
 from steerkit.diagram.simulation import Log
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.plants.disturbed_plant import DisturbedPlant
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.task import DT
 from steerkit.vehicles import VW_PASSAT

@@ -24,7 +24,7 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle, straight
 from steerkit.paths.tracker import PathTracker
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed
 from steerkit.scenario.assembly import placed
 from tests.support.places import ROOT

@@ -11,7 +11,7 @@ import pytest
 from steerkit.controllers.mpc.block import MPC, PredictiveSteering
 from steerkit.controllers.mpc.path_model import CURVES, KAPPA_STEP, SPEEDS
 from steerkit.controllers.mpc.programme import NOTHING, PREDICTION, SOLUTION
-from steerkit.plants.linear_single_track import LinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from tests.support.places import ROOT
 from tests.support.predictive import CAR, STEERING, ahead, controller, inputs, kinds, steady, table
 

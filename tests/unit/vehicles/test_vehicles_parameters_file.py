@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from steerkit.vehicles import vehicle
-from steerkit.vehicles.parameters import vehicle_text
+from steerkit.vehicles import vehicle, vehicle_text
 from tests.support.recorded_cars import BASE
 
 

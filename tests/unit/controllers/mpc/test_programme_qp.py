@@ -10,9 +10,9 @@ import casadi
 import numpy as np
 import pytest
 
-from steerkit.controllers.mpc import qp as module
+from steerkit.controllers.mpc import programme as module
 from steerkit.controllers.mpc.block import FAILED, FALLBACK, NO_FAULT, SOLVED
-from steerkit.controllers.mpc.qp import DATA, FAR, StageQp, violation
+from steerkit.controllers.mpc.programme import DATA, FAR, StageQp, violation
 from tests.support.predictive import controller, driven, inputs, kinds, own, table
 
 # ---- what it states -------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from steerkit.plants.nonlinear_single_track import NonlinearSingleTrack
+from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.vehicles import drawn_car, fleet, vehicle
 
 

@@ -10,8 +10,8 @@ from benchmarks.studies.proving import linear
 from steerkit.logs import read_drive
 from steerkit.logs.drive import Drive
 from steerkit.proving.evaluate import evaluate
-from steerkit.proving.find import _even, correlated, found
 from steerkit.proving.manoeuvre import manoeuvre
+from steerkit.proving.runs import _even, correlated, found
 from steerkit.proving.simulate import simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
 
