@@ -47,7 +47,7 @@ def stable_baselines(name: str, *, steps: int, seed: int, judge: Judge) -> tuple
     import stable_baselines3
 
     import steerkit.gym  # noqa: F401  registers the environments
-    from steerkit.gym.stable_baselines import from_stable_baselines
+    from steerkit.gym.vector_env import from_stable_baselines
 
     environment, own = AGENTS[name]
     with _one_thread():

@@ -29,8 +29,7 @@ from rich.table import Table
 from benchmarks.foreign_cars import CARS
 from benchmarks.peers.lateral_pid import Controller
 from benchmarks.statistics import interval
-from steerkit.controllers.challenge import ChallengeController
-from steerkit.controllers.lateral import LateralMpc
+from steerkit.controllers.lateral import ChallengeController, LateralMpc
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
 from steerkit.diagram.maths import Array

@@ -142,8 +142,6 @@ class Core:
         """Has all been sent that had to be?"""
         return self._neutral == 0
 
-    # ---- events ---------------------------------------------------------------------------------------------
-
     def handle(self, event: Event) -> list[Output]:
         """What is to be done about an event. Raises nothing for whatever comes over the bus or the socket."""
         t = event.t if event.t >= self.t else self.t  # time never goes back
@@ -259,8 +257,6 @@ class Core:
         if self.machine.mode is Mode.ENGAGED:
             return self._beats.get(self._holder, -math.inf)
         return max(self._beats.values(), default=-math.inf)
-
-    # ---- deciding -------------------------------------------------------------------------------------------
 
     def facts(self, t: float) -> Facts:
         """All that is known at time t [s]."""

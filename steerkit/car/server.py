@@ -122,8 +122,6 @@ class CarServer:
             with contextlib.suppress(Exception):
                 self._line.close()
 
-    # ---- one turn -------------------------------------------------------------------------------------------
-
     def _turn(self) -> None:
         clock = self.clock
         pause = clock.wall(self.core.wake - clock.now())

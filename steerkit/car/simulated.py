@@ -110,8 +110,6 @@ class SimulatedCar:
         self._stuck: dict[int, dict[str, float]] = {}
         self._dice = random.Random(seed)
 
-    # ---- the bus --------------------------------------------------------------------------------------------
-
     def receive(self, t: float, frame_id: int, data: bytes) -> None:
         """A frame from the bus at time t [s]."""
         writer = self.config.writer
@@ -144,8 +142,6 @@ class SimulatedCar:
     def next(self) -> float:
         """When the next frame may come [s]."""
         return min([self.t + STEP, *[when for when, _, _ in self._waiting]])
-
-    # ---- the car --------------------------------------------------------------------------------------------
 
     def _seen(self) -> Any:
         y = self.now

@@ -16,7 +16,7 @@ from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log
 from steerkit.export import car as cars
-from steerkit.export.controls_challenge import controls_challenge
+from steerkit.export.car import controls_challenge
 from steerkit.learning import rundir
 from steerkit.logs.foxglove import layout as write_layout
 from steerkit.logs.foxglove import to_mcap

@@ -278,8 +278,6 @@ class Loop:
         ticks = {due: self._wiring.tick(due) for due in set(patterns)}
         self._phases = [ticks[due] for due in patterns]
 
-    # ---- asking ---------------------------------------------------------------------------------------------
-
     def port_name(self, port: Port) -> str:
         """`"car.v"` for `car.v`; raises KeyError when the block is not in this loop."""
         return self._wiring.port_name(port)
@@ -322,8 +320,6 @@ class Loop:
         from steerkit.plots.style import png
 
         return png(self.plot())
-
-    # ---- running --------------------------------------------------------------------------------------------
 
     def init(self, *, batch: int | None = None, x: Sequence[State] | None = None) -> LoopState:
         """The state at t = 0, of one car or of `batch` cars; each block settles on its first inputs.
@@ -437,8 +433,6 @@ class Loop:
             ports = [(stored[f"y.{name}.{out.name}"], out.size is not None) for out in block.outputs]
             y.append(block.Y(*[_unpacked(value, vector=vector) for value, vector in ports]))
         return LoopState(int(stored["k"]), tuple(x), tuple(y))
-
-    # ---- inside ---------------------------------------------------------------------------------------------
 
     def _number(self, name: str) -> int:
         if name not in self.blocks:

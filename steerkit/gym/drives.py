@@ -118,8 +118,6 @@ class Drives:
         assert self._last is not None
         return self._last
 
-    # ---- the loop --------------------------------------------------------------------------------------------
-
     def _info(self, name: str) -> Array:
         return self._values[len(self.task.columns) + self.task.info.index(name)]
 

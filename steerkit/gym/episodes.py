@@ -150,8 +150,6 @@ class Episodes:
         return named | {"t": steps[: self.n] * self.task.dt, "cost": cost[: self.n].copy()}
 
 
-# ---- the C ---------------------------------------------------------------------------------------------------
-
 _AT = ctypes.c_void_p
 _NUMBER = ctypes.c_double
 

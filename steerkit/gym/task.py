@@ -171,8 +171,6 @@ class Task:
         require(fits, where, f"gave {given}, {expected}")
         require(np.isfinite(cost), where, f"gave {cost[0]} [1] for s = s_next = {s[0]}, expected a finite number")
 
-    # ---- what is steered ------------------------------------------------------------------------------------
-
     @cached_property
     def place(self) -> Scenario:
         """The scenario."""

@@ -1,4 +1,4 @@
-"""The single tracks, linear and nonlinear: the ports that every car has; start, integration, rolling at walking pace."""
+"""The single tracks, linear and not: the ports that every car has; start, integration, rolling at walking pace."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -184,9 +184,6 @@ def _slope(x: Array, y: Array) -> tuple[float, float]:
     return slope, float(scipy.special.stdtrit(free, 0.975) * np.sqrt(rest @ rest / free / (x @ x)))
 
 
-# ---- steady driving -----------------------------------------------------------------------------------------------
-
-
 def plateaus(run: Run, manoeuvre: Manoeuvre) -> list[tuple[float, ...]]:
     """Means of delta_sw, v, r, a_y, beta (NaN where unknown) over stretches of 2 s in which nothing changes.
 
@@ -257,9 +254,6 @@ def _steady(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
     else:
         notes.append("rear compliance, static margin: no sideslip angle was measured")
     return Found(results, notes, {"wheel": wheel, "a_y": a_y, "v": v, "r": r})
-
-
-# ---- transient answers --------------------------------------------------------------------------------------------
 
 
 def crossing(t: Array, x: Array, level: float) -> float:
@@ -359,9 +353,6 @@ def _dwell(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     yield {"peak_yaw_rate": second, **ratios, "lateral_displacement": moved}
 
 
-# ---- on centre ----------------------------------------------------------------------------------------------------
-
-
 def _on_centre(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:
     """The loop of a_y over the angle: half its width at a_y = 0 and at angle 0, its slope there, lag of the yaw rate.
 
@@ -400,9 +391,6 @@ def _transition(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Ro
     inside = (a_y >= 0.5) & (a_y <= 1.5)
     gain, at = np.polyfit(wheel[inside], a_y[inside], 1) if inside.sum() > 10 else (math.nan, math.nan)
     yield {"a_y_gain": float(gain), "dead_band": float(-2.0 * at / gain)}
-
-
-# ---- frequency response -------------------------------------------------------------------------------------------
 
 
 class Spectra(NamedTuple):
@@ -531,9 +519,6 @@ def _read(theta: Array) -> Row:
         "phase_1_hz": float(np.angle(model(of_one, 1.0))),
         "phase_bandwidth": float(np.angle(model(of_one, bandwidth))),
     }
-
-
-# ---- closed loop --------------------------------------------------------------------------------------------------
 
 
 def _course(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Row]:

@@ -144,9 +144,6 @@ def held_all_along(log: Log, *, limit: float = TRIP) -> bool:
     return on_course and ("supervisor.learning" not in log or bool((log["supervisor.learning"] > 0.5).all()))
 
 
-# ---- its table ----------------------------------------------------------------------------------------------------
-
-
 _JUDGES = {"iso_11270": ("max_a_y", "max_jerk"), "un_r79": ("max_a_y_r79", "max_jerk_r79")}
 """The norms that a drive is judged by, and the metrics whose limits they set: lateral acceleration and jerk."""
 

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 from steerkit._support.errors import known, number, require, require_within
 from steerkit._support.files import read_text
 from steerkit._support.plugins import is_outside
-from steerkit.controllers.challenge import ChallengeController
-from steerkit.controllers.lateral import DT, PREVIEW, STEER, LateralMpc
+from steerkit.controllers.lateral import DT, PREVIEW, STEER, ChallengeController, LateralMpc
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.loop import Loop

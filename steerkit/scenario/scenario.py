@@ -141,8 +141,6 @@ class Scenario:
                 changes[name] = PARTS[name].of(value, getattr(self, name))
         return replace(self, **changes)
 
-    # ---- what it says ---------------------------------------------------------------------------------------
-
     @property
     def random(self) -> bool:
         """Does anything depend on the seed (but for a learner's net)?"""
@@ -221,8 +219,6 @@ class Scenario:
             clock=clock,
         )
 
-    # ---- what it is made of ---------------------------------------------------------------------------------
-
     def car(self, path: Path, s: float = 0.0, seed: int = 0) -> Block:
         """The plant, on the path at arc length s [m]; `seed` is that of the gusts, and of a plant that has one."""
         kind: Any = plant_kind(self.vehicle.plant)
@@ -267,9 +263,6 @@ def require_fields(kind: type[Scenario], table: Table, where: str) -> None:
         holders = [part for part, cls in PARTS.items() if name in {f.name for f in fields(cls)}]
         hint = f"; it is a field of {' and '.join(holders)}" if holders else f"; valid: {', '.join(valid)}"
         require(name in valid, where, f"a scenario has no field '{name}'{hint}")
-
-
-# ---- in files -----------------------------------------------------------------------------------------------
 
 
 def read_scenario(file: str | FilePath) -> Scenario:

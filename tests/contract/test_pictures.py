@@ -18,6 +18,7 @@ from matplotlib.patches import Patch
 
 from steerkit.analysis import linearise, over
 from steerkit.analysis.linear import plot_bode, plot_over, plot_steps
+from steerkit.cli.log import Contents, contents, picture
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import Log, simulate
@@ -29,7 +30,6 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
 from steerkit.learning.nfq.rprop import new_net
 from steerkit.logs.channels import Channel
-from steerkit.logs.contents import Contents, contents, picture
 from steerkit.logs.drive import Drive
 from steerkit.logs.reading import RawLog
 from steerkit.logs.resimulate import Resimulated, compared

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import steerkit.gym
-from steerkit.controllers.challenge import ChallengeController
+from steerkit.controllers.lateral import ChallengeController
 from steerkit.scenario import Scenario
 from steerkit.scenario.lateral import LateralTarget, lateral_cost_of, lateral_drive
 

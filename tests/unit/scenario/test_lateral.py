@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerkit.controllers.challenge import ChallengeController
+from steerkit.controllers.lateral import ChallengeController
 from steerkit.controllers.stanley import Stanley
 from steerkit.scenario import Scenario
 from steerkit.scenario.lateral import LateralTarget, lateral_controller, lateral_cost_of, lateral_drive, lateral_loop

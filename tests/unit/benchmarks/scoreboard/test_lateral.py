@@ -8,8 +8,7 @@ import pytest
 
 from benchmarks.peers.lateral_pid import Controller
 from benchmarks.scoreboard import lateral
-from steerkit.controllers.challenge import ChallengeController
-from steerkit.controllers.lateral import LateralMpc
+from steerkit.controllers.lateral import ChallengeController, LateralMpc
 from steerkit.scenario.lateral import LateralTarget
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerkit.controllers.challenge import ChallengeController
+from steerkit.controllers.lateral import ChallengeController
 from steerkit.scenario import Scenario
 from steerkit.scenario.lateral import LateralTarget, lateral_drive
 

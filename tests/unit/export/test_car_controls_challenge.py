@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from steerkit.compiled.trace import TraceError
-from steerkit.controllers.challenge import ChallengeController
-from steerkit.controllers.lateral import PREVIEW, LateralMpc
+from steerkit.controllers.lateral import PREVIEW, ChallengeController, LateralMpc
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
-from steerkit.export.controls_challenge import controls_challenge
+from steerkit.export.car import controls_challenge
 from steerkit.plants.speed_driver import Playback
 from steerkit.scenario.lateral import LateralTarget
 from steerkit.vehicles import VW_PASSAT

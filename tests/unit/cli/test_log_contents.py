@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from steerkit.cli.log import contents, picture
 from steerkit.logs import ColumnMap, read_log
-from steerkit.logs.contents import contents, picture
 from tests.support.written_logs import driven, written
 
 
