@@ -21,7 +21,7 @@ from steerkit.car.gate import GateLimits
 from steerkit.car.motion import MotionLimits
 from steerkit.car.ports import checked, python_can
 from steerkit.car.production import platforms
-from steerkit.car.production.limits import PortLimits, limits_of
+from steerkit.car.production.platforms import PortLimits, limits_of
 from steerkit.car.state_machine import StateLimits
 from steerkit.diagram.units import FACTORS, degrees_of, radians_of
 from steerkit.paths.courses import course
@@ -89,7 +89,7 @@ class CarConfig:
     port: str = ""
     """The platform of opendbc that the car is, such as TESLA_MODEL_3; "" for a car with a kit."""
     line: dict[str, Any] = field(default_factory=dict)
-    """How a port reaches its car: see `steerkit.car.production.line`."""
+    """How a port reaches its car: see `steerkit.car.production.port`."""
     port_limits: PortLimits | None = None
     """What the port makes of a command."""
     vehicle_file: str = ""

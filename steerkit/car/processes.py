@@ -22,7 +22,7 @@ from steerkit._support.errors import in_one_line
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.config import bus_of, check_pace, loaded
 from steerkit.car.ports import BusPort, SlcanPort
-from steerkit.car.production.line import SocketServer
+from steerkit.car.production.port import SocketServer
 from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.recording import Recording, described
 from steerkit.car.server import CarServer

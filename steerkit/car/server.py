@@ -20,7 +20,7 @@ from steerkit.car import protocol
 from steerkit.car.config import CarConfig
 from steerkit.car.core import Core, End, Event, Frame, Link, Note, Packet, RecordingFault, Reply, Send, Tick
 from steerkit.car.ports import lost, open_bus, python_can
-from steerkit.car.production import line, port
+from steerkit.car.production import port
 from steerkit.car.production.platforms import platform
 from steerkit.car.recording import Recording
 from steerkit.paths.path import Path
@@ -75,7 +75,7 @@ class CarServer:
         self._port_lock = threading.Lock()
         if config.port:
             self._port = port.Port(config)
-            self._line = line.line_of(config.line, platform(config.port))
+            self._line = port.line_of(config.line, platform(config.port))
             threading.Thread(target=self._run_port, name="port", daemon=True).start()
         if recording is None:
             self._handle(RecordingFault(self.clock.now(), "the car server has no --recording"))

@@ -14,8 +14,7 @@ from steerkit.compiled.trace import TraceError
 from steerkit.diagram.loop import LoopState
 from steerkit.diagram.maths import Array
 from steerkit.gym.episodes import Episodes
-from steerkit.gym.starts import Draw, each
-from steerkit.gym.task import Task, require_finite
+from steerkit.gym.task import Draw, Task, each, require_finite
 
 Backend = Literal["python", "c"]
 

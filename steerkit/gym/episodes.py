@@ -18,8 +18,7 @@ from steerkit.compiled.c_code import function_source, head_source
 from steerkit.compiled.trace import Tick, Trace, trace, traced
 from steerkit.controllers.network_policy import BOUND
 from steerkit.diagram.maths import Array, Table
-from steerkit.gym.starts import Draw, reseeded
-from steerkit.gym.task import Task, require_finite
+from steerkit.gym.task import Draw, Task, require_finite, reseeded
 
 _HOW = {AutoresetMode.NEXT_STEP: 0, AutoresetMode.SAME_STEP: 1, AutoresetMode.DISABLED: 2}
 _A_THREAD = 256  # cars for which a second thread is worth its start

@@ -65,7 +65,7 @@ AT_HOME = {
     "foxglove": {"logs.foxglove"},
     "asammdf": {"logs.tables"},
     "opendbc": {"logs.can_frames", "car.production"},
-    "panda": {"car.production.line"},
+    "panda": {"car.production.port"},
     "gymnasium": {"gym", "export.minari"},
     "defusedxml": {"paths.importers.xml_stream"},
 }

@@ -10,8 +10,7 @@ import numpy as np
 from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.car.config import shipped
-from steerkit.car.production.limits import limits_of
-from steerkit.car.production.platforms import listed, platform
+from steerkit.car.production.platforms import limits_of, listed, platform
 from steerkit.vehicles import vehicle
 
 AT = 15.0

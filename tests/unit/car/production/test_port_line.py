@@ -6,9 +6,8 @@ import pytest
 
 pytest.importorskip("opendbc")
 
-from steerkit.car.production.line import SocketLine, SocketServer, line_of
 from steerkit.car.production.platforms import platform
-from steerkit.car.production.port import Frame
+from steerkit.car.production.port import Frame, SocketLine, SocketServer, line_of
 
 
 def test_frames_cross_a_socket_whole() -> None:

@@ -12,8 +12,7 @@ pytest.importorskip("opendbc")
 
 from benchmarks.studies import production_cars as study
 from steerkit.car.gate import gate
-from steerkit.car.production.limits import limits_of
-from steerkit.car.production.platforms import platform
+from steerkit.car.production.platforms import limits_of, platform
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import yaw_gain
 from tests.support.production import config, judged, ported, steered

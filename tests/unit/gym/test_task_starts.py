@@ -9,7 +9,7 @@ import pytest
 
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.gym import Task
-from steerkit.gym.starts import LEAST_ROOM, Draw
+from steerkit.gym.task import LEAST_ROOM, Draw
 from steerkit.scenario import END_MARGIN
 from tests.support.steady_world import SteadyWorld
 
