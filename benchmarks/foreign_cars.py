@@ -8,8 +8,7 @@ from typing import Any
 
 from benchmarks.peers.commonroad import VANAGON_FILE
 from benchmarks.scenarios import MULTI_BODY
-from steerkit.scenario import Scenario
-from steerkit.scenario.scenario import straightest
+from steerkit.scenario import Scenario, straightest
 from steerkit.task import A_Y_MAX
 
 _MOTOR = {"delay": 0.2, "lag": 0.12}

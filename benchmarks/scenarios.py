@@ -8,11 +8,10 @@ from typing import Any
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.paths.courses import random_course
-from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario import END_MARGIN, Scenario, fleet_scenario, straightest
 from steerkit.scenario.catalogue import PLANTS
 from steerkit.scenario.drive import drive_loop
 from steerkit.scenario.parts import PARTS
-from steerkit.scenario.scenario import fleet_scenario, straightest
 
 MULTI_BODY = "benchmarks.peers.commonroad:CommonRoadMultiBody"
 """The plant that is CommonRoad's; it has `bmw-320i` and `ford-escort`."""

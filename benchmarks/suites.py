@@ -14,8 +14,7 @@ from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import MULTI_BODY, scene, unlike_the_data_sheet
 from steerkit._support.errors import known
 from steerkit.proving.manoeuvre import some
-from steerkit.scenario import Scenario
-from steerkit.scenario.scenario import tables
+from steerkit.scenario import Scenario, tables
 
 TRAINING = "training"
 """The suite that trainings are filed under, so that suites in one directory share them."""

@@ -40,7 +40,7 @@ from .scenario.assembly import placed as placed
 from .scenario.assembly import steering_loop as steering_loop
 from .scenario.drive import comparison as comparison
 from .scenario.drive import drive as drive
-from .scenario.sweep import sweep as sweep
+from .scenario.drive import sweep as sweep
 from .vehicles import Vehicle as Vehicle
 from .vehicles import vehicle as vehicle
 

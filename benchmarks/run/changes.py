@@ -23,8 +23,7 @@ from steerkit.metrics.signals import largest, rms
 from steerkit.plants.disturbed_plant import GUST_STATES, DisturbedPlant
 from steerkit.plants.single_track import SingleTrackState
 from steerkit.plants.steering_actuator import DelayedSteering
-from steerkit.scenario import Scenario, drive
-from steerkit.scenario.scenario import tables
+from steerkit.scenario import Scenario, drive, tables
 
 SAFE = replace(DEFAULT, safe=True)
 """How it learns: with the filter."""

@@ -25,8 +25,7 @@ from benchmarks.scenarios import MULTI_BODY
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import Setting
 from steerkit.metrics import Summary, of_log
-from steerkit.scenario import Scenario, drive
-from steerkit.scenario.scenario import fleet_scenario, straightest
+from steerkit.scenario import Scenario, drive, fleet_scenario, straightest
 
 ORACLE = ("stanley-delay", "lqr", "mpc")
 """Analytic controllers that take a believed delay."""

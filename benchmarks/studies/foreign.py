@@ -62,11 +62,10 @@ from benchmarks.run.foreign_learning import one_learner
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import radians_of
 from steerkit.metrics.signals import rms
-from steerkit.scenario import Scenario
+from steerkit.scenario import CONDITIONS, Scenario
 from steerkit.scenario.assembly import placed
 from steerkit.scenario.catalogue import AUTO, RECOVERIES, make_controller, make_recovery
 from steerkit.scenario.drive import assembled
-from steerkit.scenario.scenario import CONDITIONS
 from steerkit.task import TRIP
 
 PARTS = ("recovery", "adaptive", "learner", "changes")

@@ -36,9 +36,8 @@ from steerkit.identification import identify
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import UPDATES, from_log
 from steerkit.logs import Drive, read_drive, shipped_drives
-from steerkit.scenario import Scenario
+from steerkit.scenario import Scenario, fleet_scenario, straightest
 from steerkit.scenario.drive import assembled, controller
-from steerkit.scenario.scenario import fleet_scenario, straightest
 from steerkit.task import DT
 
 CARS_FROM, COURSES_FROM = 8000, 5000

@@ -55,10 +55,9 @@ from steerkit.diagram.block import Block, In, Out, Wrapper
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.export.c import export_c
 from steerkit.metrics.signals import largest
-from steerkit.scenario import Scenario
+from steerkit.scenario import Scenario, straightest
 from steerkit.scenario.catalogue import make_safety
 from steerkit.scenario.drive import assembled
-from steerkit.scenario.scenario import straightest
 from steerkit.task import DT, STOP, TRIP
 
 KINDS = ("left", "right", "bang-bang", "slow bang-bang", "away", "untrained net", "chance")

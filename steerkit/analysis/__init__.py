@@ -7,18 +7,313 @@ A loop with several sample times is taken over its whole period, after which all
 of the result is one period. That is exact and no approximation by the slowest block (lifting: Meyer, Burrus 1975).
 """
 
-from steerkit.analysis.linear import Margins as Margins
-from steerkit.analysis.linear import NotTimeInvariantError as NotTimeInvariantError
-from steerkit.analysis.linear import Point as Point
-from steerkit.analysis.linear import UnstableError as UnstableError
-from steerkit.analysis.linear import break_at as break_at
-from steerkit.analysis.linear import linearise as linearise
-from steerkit.analysis.linear import margins as margins
-from steerkit.analysis.linear import over as over
-from steerkit.analysis.linear import plot_bode as plot_bode
-from steerkit.analysis.linear import plot_over as plot_over
-from steerkit.analysis.linear import plot_steps as plot_steps
-from steerkit.analysis.linear import step_response as step_response
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import control
+import numpy as np
+from scipy.optimize import brentq
+
+from steerkit._support.errors import require
 from steerkit.analysis.systems import FromControl as FromControl
+from steerkit.analysis.systems import Period, port_names, signal_name
 from steerkit.analysis.systems import Tap as Tap
 from steerkit.analysis.systems import to_control as to_control
+from steerkit.diagram.maths import Array
+from steerkit.diagram.units import degrees_of
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from steerkit.diagram.loop import Loop, LoopState
+    from steerkit.diagram.simulation import Signal
+
+
+_TINY = 1e-8  # an entry smaller than this joins nothing
+_SAME = 1e-5  # largest change of the model from one period to the next that still is time-invariant
+
+
+class NotTimeInvariantError(ValueError):
+    """The loop's linearisation changes from one period to the next: there are no poles and margins to speak of."""
+
+
+class UnstableError(ValueError):
+    """The closed loop is unstable: it has no margins."""
+
+
+def linearise(
+    loop: "Loop",
+    at: "LoopState | None" = None,
+    *,
+    inputs: "Sequence[Signal] | None" = None,
+    outputs: "Sequence[Signal] | None" = None,
+    cut: "Sequence[Signal]" = (),
+    invariant: bool = True,
+) -> Any:
+    """The loop about a run as a discrete `control.StateSpace`, one step a period of the loop.
+
+        x(K+1) = A x(K) + B u(K),  y(K) = C x(K) + D u(K)
+
+    in deviations from the run from `at` on (default: `loop.init()`).
+
+    inputs: signals that u is added to, behind their block and before all their users, held over a period.
+    outputs: signals, as they are at the period's start. Both default to all scalar signals. cut: those inputs at which
+    the loop is opened: u takes the signal's place, with one entry for each of the block's samples in a period, as y
+    has for such a signal. States that no input reaches or no output shows (the driver model's noise) are left out.
+
+    Slopes are central differences of the loop's own step, good to about 1e-9 where it is smooth; at a limiter's kink
+    they are the mean of both sides. Raises NotTimeInvariantError when the next period has other matrices (drive
+    straight, at a constant speed: in a bend the pose turns with the car); `invariant=False` gives the first period's.
+    ValueError for a state within a period, a vector signal, or a cut that is no input; KeyError for an unknown signal.
+    """
+    scalars = [name for name in loop.units if getattr(loop.blocks[name.split(".")[0]], name.split(".")[1]).size is None]
+    added = scalars if inputs is None else [signal_name(loop, s) for s in inputs]
+    shown = scalars if outputs is None else [signal_name(loop, s) for s in outputs]
+    opened = [signal_name(loop, s) for s in cut]
+    stray = [name for name in opened if name not in added]
+    require(not stray, "linearise", f"cut at {', '.join(stray)}, which is not among the inputs")
+    state = loop.init() if at is None else at
+    period = Period(loop, {name: name in opened for name in added}, shown, state)
+    closed = Period(loop, {}, opened, state)
+    x, k, matrices = closed.x0, state.k, []
+    for _ in range(2 if invariant else 1):
+        next_x, cut_values = closed.run(x.tolist(), [], k)
+        now = dict(zip(opened, cut_values))
+        taps = [now.get(name, [0.0]) for name in added]
+        matrices.append(period.matrices(x, taps, k))
+        x, k = np.array(next_x), k + loop.period
+    a, b, c, d = matrices[0]
+    rows, row_names = _named(shown, period.samples, opened)
+    _, column_names = _named(added, [len(values) for values in taps], opened)
+    keep = _joined(a, b, c[rows])
+    parts = (a[np.ix_(keep, keep)], b[keep], c[np.ix_(rows, keep)], d[rows])
+    if invariant:
+        a, b, c, d = matrices[1]
+        then = (a[np.ix_(keep, keep)], b[keep], c[np.ix_(rows, keep)], d[rows])
+        change = max((float(np.abs(p - q).max()) for p, q in zip(parts, then) if p.size), default=0.0)
+        if not change <= _SAME * (1.0 + max(float(np.abs(p).max()) for p in parts if p.size)):
+            raise NotTimeInvariantError(
+                f"linearise: {loop!r} changes by {change:.2g} from one period to the next at tick {state.k}; start on "
+                "a straight path at a constant speed and in steady motion, or take this one period with invariant=False"
+            )
+    labels = [period.labels[i] for i in keep]
+    return control.ss(*parts, loop.dt * loop.period, inputs=column_names, outputs=row_names, states=labels)
+
+
+def break_at(loop: "Loop", signal: "Signal", *, at: "LoopState | None" = None) -> Any:
+    """The open loop L at a signal, as a discrete `control.StateSpace` in the negative-feedback convention.
+
+    The wire is cut behind the signal's block; L = -(what the block gives)/(what its users get), so that the closed
+    loop is `control.feedback(L)` and `margins(L)` holds. One input and output for a signal of the loop's slowest
+    blocks; a faster one has as many as it has samples in a period, and no margin in the classical sense. Raises
+    as `linearise` does, and ValueError when no loop runs through the signal, or a limiter holds it.
+    """
+    around = linearise(loop, at, inputs=[signal], outputs=[signal], cut=[signal])
+    if not around.nstates and not np.any(around.D):
+        name = signal_name(loop, signal)
+        raise ValueError(
+            f"break_at: {name} does not act back on itself here; is a limiter active, or does no one use it?"
+        )
+    labels = dict(inputs=around.input_labels, outputs=around.output_labels, states=around.state_labels)
+    return control.ss(-around, **labels)
+
+
+class Margins(NamedTuple):
+    """How far a loop is from instability; infinite where nothing of that kind makes it unstable."""
+
+    gain: float
+    """Factor on the loop gain: the nearest to 1 above it [1]."""
+    gain_below: float
+    """The nearest to 1 below it [1]; 0 where none."""
+    phase: float
+    """Least phase at a gain crossing [rad]."""
+    delay: float
+    """Least additional delay [s]."""
+    gain_crossing: float
+    """Where |L| = 1, for the phase margin [rad/s]; NaN if nowhere."""
+
+
+def margins(system: Any) -> Margins:
+    """Gain, phase and delay margins of an open loop L, a single-input, single-output `control` system.
+
+    Over 0 < w < pi/dt (or, continuous, 1e-4 to 1e4 rad/s): phase margin = |pi + arg L| where |L| = 1; delay margin =
+    ((pi + arg L) mod 2 pi)/w there; gain margins = 1/|L| where L is real and negative. Crossings are found on a
+    logarithmic grid and refined. Raises UnstableError for an unstable closed loop, which has no margins,
+    ValueError for a system with several inputs or outputs. Source: Astrom, Murray 2021, section 10.3.
+    """
+    if system.ninputs != 1 or system.noutputs != 1:
+        raise ValueError(
+            f"margins: a system with {system.ninputs} inputs and {system.noutputs} outputs, expected 1 and 1; break "
+            "the loop at a signal of its slowest blocks"
+        )
+    discrete = system.isdtime(strict=True)
+    closed = control.feedback(system).poles()
+    beyond = np.abs(closed) - 1.0 if discrete else np.real(closed)
+    if (beyond > 1e-7).any():
+        raise UnstableError(f"margins: the closed loop is unstable (poles {closed[beyond > 1e-7]}), so it has none")
+    top = math.pi / system.dt if discrete else 1e4
+    grid = np.geomspace(1e-4 * (top if discrete else 1.0), top * (1.0 - 1e-9), 4000)
+
+    def answer(w: Any) -> Any:
+        return system(np.exp(1j * w * system.dt) if discrete else 1j * w)
+
+    values = np.asarray(answer(grid))
+
+    def crossings(number: Callable[[Any], Any]) -> list[float]:
+        along = number(values)
+        change = np.flatnonzero(along[:-1] * along[1:] < 0.0)
+        return [float(brentq(lambda w: number(answer(w)), grid[i], grid[i + 1], xtol=1e-13)) for i in change]
+
+    gain_at = crossings(lambda z: np.log(np.abs(z)))
+    phases = [float(np.angle(-answer(w))) for w in gain_at]
+    delays = [(phase % (2.0 * math.pi)) / w for phase, w in zip(phases, gain_at)]
+    phase, crossing = min(((abs(p), w) for p, w in zip(phases, gain_at)), default=(math.inf, math.nan))
+    real_at = [w for w in crossings(np.imag) if np.real(answer(w)) < 0.0]
+    if discrete and np.real(answer(top)) < 0.0:  # L is real at half the sampling rate
+        real_at.append(top)
+    factors = [1.0 / abs(float(np.real(answer(w)))) for w in real_at]
+    gain = min((f for f in factors if f > 1.0), default=math.inf)
+    below = max((f for f in factors if f < 1.0), default=0.0)
+    return Margins(gain, below, phase, min(delays, default=math.inf), crossing)
+
+
+@dataclass(frozen=True)
+class Point:
+    """A loop at one value of what was varied: its opened loop, its margins, its slowest closed-loop poles first."""
+
+    value: float
+    open_loop: Any
+    margins: Margins | None
+    """None where the closed loop is unstable."""
+    poles: Array
+
+
+def over(make: "Callable[[float], Loop]", values: Sequence[float], signal: str) -> list[Point]:
+    """Margins and poles of `make(value)`, broken at a signal, for each value: a speed, a delay, a stiffness."""
+    points = []
+    for value in values:
+        opened = break_at(make(value), signal)
+        poles = control.feedback(opened).poles()
+        margins_here: Margins | None = None
+        with suppress(UnstableError):
+            margins_here = margins(opened)
+        points.append(Point(value, opened, margins_here, poles[np.argsort(-np.abs(poles))]))
+    return points
+
+
+def step_response(system: Any, seconds: float) -> tuple[Array, Array]:
+    """t (T,) [s] and the answer of a single-input, single-output system to a step of 1, (T,)."""
+    t = np.arange(max(2, round(seconds / system.dt) + 1)) * system.dt
+    return t, np.asarray(control.step_response(system, t).outputs).ravel()
+
+
+def _named(signals: Sequence[str], samples: Sequence[int], opened: Sequence[str]) -> tuple[list[int], list[str]]:
+    """Which entries are shown of signals with so many samples each, and their names."""
+    numbers: list[int] = []
+    names: list[str] = []
+    start = 0
+    for signal, name, count in zip(signals, port_names(signals), samples):
+        shown = count if signal in opened else 1
+        numbers += range(start, start + shown)
+        names += [name] if shown == 1 else [f"{name}_{i}" for i in range(shown)]
+        start += count
+    return numbers, names
+
+
+def _joined(a: Array, b: Array, c: Array) -> list[int]:
+    """The states that an input reaches and that an output shows."""
+
+    def spread(start: Any, through: Any) -> Any:
+        linked_states = start
+        while True:
+            next_states = linked_states | (through @ linked_states)
+            if (next_states == linked_states).all():
+                return linked_states
+            linked_states = next_states
+
+    linked = np.abs(a) > _TINY
+    reached = spread((np.abs(b) > _TINY).any(axis=1), linked)
+    seen = spread((np.abs(c) > _TINY).any(axis=0), linked.T)
+    return [int(i) for i in np.flatnonzero(reached & seen)]
+
+
+@styled
+def plot_bode(loops: Mapping[str, Any], *, title: str = "") -> "Figure":
+    """Gain and phase of open loops over frequency, by name; dots where |L| = 1, margins in the legend.
+
+    loops: single-input, single-output systems, as `break_at` gives them. Raises ValueError as `margins` does, but for
+    an unstable closed loop, which the legend names.
+    """
+    figure, (gain, phase) = new_figure(2, title=title, height=5.4)
+    for colour, (name, system) in zip(PALETTE, loops.items()):
+        top = math.pi / system.dt if system.isdtime(strict=True) else 1e3
+        w = np.geomspace(3e-3 * top, top * (1.0 - 1e-6), 1000)
+        answer = np.asarray(system(np.exp(1j * w * system.dt) if system.isdtime(strict=True) else 1j * w))
+        angle = np.unwrap(np.angle(answer))
+        angle -= 2.0 * math.pi * math.ceil((angle[0] - 0.1) / (2.0 * math.pi))  # starts in (-360, 0] degrees
+        try:
+            margin = margins(system)
+            label = f"{name}: {_legend(margin.gain, margin.phase, margin.delay)}"
+            at = margin.gain_crossing
+        except UnstableError:
+            label, at = f"{name}: closed loop unstable", math.nan
+        gain.plot(w, 20.0 * np.log10(np.maximum(np.abs(answer), 1e-9)), color=colour, label=label)
+        phase.plot(w, degrees_of(angle), color=colour)
+        if math.isfinite(at):
+            gain.plot(at, 0.0, "o", ms=5, color=colour)
+            phase.plot(at, degrees_of(float(np.interp(at, w, angle))), "o", ms=5, color=colour)
+    gain.axhline(0.0, color=COLOURS["muted"], lw=0.8)
+    phase.axhline(-180.0, color=COLOURS["muted"], lw=0.8)
+    gain.set(xscale="log", ylabel="|L| [dB]", ylim=(-40.0, None))
+    phase.set(ylabel="arg L [deg]", xlabel="frequency [rad/s]", ylim=(-720.0, 20.0))
+    phase.set_yticks(range(-720, 1, 180))
+    gain.legend(loc="upper right")
+    phase.margins(x=0.0)
+    return figure
+
+
+@styled
+def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]", title: str = "") -> "Figure":
+    """Phase margin, delay margin and the largest closed-loop pole over what was varied: a line a name.
+
+    points: as `over` gives them. Where the closed loop is unstable the margins have a gap and the pole is above 1.
+    """
+    figure, (phase, delay, pole) = new_figure(3, title=title)
+    for colour, (name, varied) in zip(PALETTE, points.items()):
+        x = [point.value for point in varied]
+        margins_of = [point.margins for point in varied]
+        phases = [math.nan if t is None else degrees_of(t.phase) for t in margins_of]
+        delays = [math.nan if t is None else t.delay for t in margins_of]
+        largest = [abs(point.poles[0]) if len(point.poles) else 0.0 for point in varied]
+        for panel, values in ((phase, phases), (delay, delays), (pole, largest)):
+            panel.plot(x, values, "o-", ms=3, color=colour, label=name)
+    pole.axhline(1.0, color=COLOURS["limit"], lw=0.9)
+    phase.set(ylabel="phase margin [deg]", ylim=(0.0, 90.0))
+    delay.set(ylabel="delay margin [s]", ylim=(0.0, None))
+    pole.set(ylabel="largest |pole|", xlabel=xlabel)
+    phase.legend(loc="upper right", ncols=2)
+    return figure
+
+
+@styled
+def plot_steps(systems: Mapping[str, Any], seconds: float, *, ylabel: str = "", title: str = "") -> "Figure":
+    """Step responses of single-input, single-output systems over t, by name, such as those of several speeds."""
+    figure, (panel,) = new_figure(1, title=title)
+    for colour, (name, system) in zip(PALETTE, systems.items()):
+        panel.plot(*step_response(system, seconds), color=colour, label=name)
+    panel.axhline(0.0, color=COLOURS["muted"], lw=0.8)
+    panel.set(xlabel="t [s]", ylabel=ylabel)
+    panel.margins(x=0.0)
+    panel.legend(loc="best")
+    return figure
+
+
+def _legend(gain: float, phase: float, delay: float) -> str:
+    """Margins for a legend."""
+    parts = [("gain", f"{gain:.2f}", gain), ("phase", f"{degrees_of(phase):.0f}°", phase)]
+    parts.append(("delay", f"{delay:.2f} s", delay))
+    return ", ".join(f"{name} {text if math.isfinite(value) else '∞'}" for name, text, value in parts)

@@ -21,9 +21,8 @@ from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.open_loop import OpenLoop
+from steerkit.controllers.open_loop import WAVES, OpenLoop, with_excitation
 from steerkit.controllers.supervisor import SupervisorState
-from steerkit.controllers.with_excitation import WAVES, with_excitation
 from steerkit.diagram import realtime
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop

@@ -41,8 +41,8 @@ from steerkit.plots.style import save
 from steerkit.scenario import Scenario, lateral
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.catalogue import CONTROLLERS
-from steerkit.scenario.sweep import USUAL
-from steerkit.scenario.sweep import sweep as swept
+from steerkit.scenario.drive import USUAL
+from steerkit.scenario.drive import sweep as swept
 
 _VALID = f"{', '.join(CONTROLLERS)}, nfq, the directory of a learning run, or your own: my_file.py:make"
 

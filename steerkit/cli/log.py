@@ -18,10 +18,9 @@ from steerkit.cli.options import Machine, Picture, Quiet, written
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
 from steerkit.learning import rundir
-from steerkit.logs import read_drive
+from steerkit.logs import RawLog, drive_of, read_drive, read_log
 from steerkit.logs.channels import Channel, ColumnMap, candidates
 from steerkit.logs.drive import Drive
-from steerkit.logs.reading import RawLog, drive_of, read_log
 from steerkit.plots.diagram import telling
 from steerkit.plots.style import COLOURS, new_figure, save, style
 

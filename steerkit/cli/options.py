@@ -18,9 +18,8 @@ from steerkit._support.errors import known, require
 from steerkit._support.files import read_text, write_text
 from steerkit.cli import WORDS
 from steerkit.plots.page import document, html, picture
-from steerkit.scenario import CONDITIONS, Scenario
+from steerkit.scenario import CONDITIONS, Scenario, read_scenario
 from steerkit.scenario.parts import Driver, profile_in
-from steerkit.scenario.scenario import read_scenario
 
 SIMULATED, ON_CAR, FROM_LOG = "In simulation", "On a car", "From a log (with --from)"
 Seed = Annotated[int, typer.Option(help="Seed of driver and sensors, and of a learner's nets.")]

@@ -28,8 +28,7 @@ from steerkit.proving.evaluate import Evaluation, evaluate
 from steerkit.proving.manoeuvre import Manoeuvre, read_limits, some
 from steerkit.proving.runs import Run, found
 from steerkit.proving.simulate import of_fleet, simulated
-from steerkit.scenario import Scenario
-from steerkit.scenario.scenario import read_scenario
+from steerkit.scenario import Scenario, read_scenario
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named

@@ -33,10 +33,9 @@ from steerkit.paths.tracker import PathTracker
 from steerkit.plants.disturbed_plant import GUST_STATES, DisturbedPlant
 from steerkit.plants.single_track import NonlinearSingleTrack, SingleTrackState
 from steerkit.plants.steering_actuator import SteeringActuator, TorqueSteering
-from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario import END_MARGIN, Scenario, read_scenario
 from steerkit.scenario.catalogue import ELEMENTS, make_element, make_safety
 from steerkit.scenario.drive import assembled
-from steerkit.scenario.scenario import read_scenario
 from steerkit.task import STOP, STOP_DEG, TRIP
 
 LEAST_ROOM = 30.0

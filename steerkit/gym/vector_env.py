@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from steerkit._support.errors import known, optional, require
 from steerkit.controllers.network_policy import Network, PolicyBlock
-from steerkit.gym.drives import Backend, cars_of
+from steerkit.gym.episodes import Backend, cars_of
 from steerkit.gym.task import Task
 from steerkit.plots.animation import Moments, Scene
 from steerkit.plots.style import style

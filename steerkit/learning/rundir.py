@@ -33,8 +33,7 @@ from steerkit.learning.learner_state import Before, Counts, Episode, Recovery
 from steerkit.learning.nfq.iterate import FitSetting, Learned
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
-from steerkit.scenario import Scenario
-from steerkit.scenario.scenario import of_table
+from steerkit.scenario import Scenario, of_table
 
 LOCK, HOLDER = ".lock", ".learner"
 """The lock, which ends with its process, however that ends; and a line that names its holder."""

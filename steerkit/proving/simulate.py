@@ -19,10 +19,9 @@ from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.proving.manoeuvre import Manoeuvre
 from steerkit.proving.runs import Run
-from steerkit.scenario import Scenario
+from steerkit.scenario import Scenario, straightest
 from steerkit.scenario.assembly import steering_loop
 from steerkit.scenario.catalogue import make_controller
-from steerkit.scenario.scenario import straightest
 from steerkit.vehicles import FleetCar
 
 DT = 0.01

@@ -17,7 +17,7 @@ from steerkit.diagram.maths import Table
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.metrics import lateral_cost
 from steerkit.paths.waypoints import read_columns
-from steerkit.scenario.scenario import Scenario
+from steerkit.scenario import Scenario
 from steerkit.vehicles import VW_PASSAT, Vehicle
 
 _BOUNDS = {"a_y": ("m/s^2", 20.0), "v": ("m/s", 100.0), "a_roll": ("m/s^2", 10.0)}

@@ -17,8 +17,8 @@ from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.paths.courses import course, lane_change, names, random_course, recorded_speed
+from steerkit.paths.importers import KINDS, Address, is_road, read_course
 from steerkit.paths.importers.course import course_of
-from steerkit.paths.importers.reading import KINDS, Address, is_road, read_course
 from steerkit.paths.path import Path
 from steerkit.paths.waypoints import mended, read_columns
 from steerkit.plants.disturbed_plant import DisturbedPlant

@@ -31,12 +31,11 @@ from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.network_policy import Network, PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
-from steerkit.controllers.open_loop import OpenLoop
+from steerkit.controllers.open_loop import OpenLoop, WithExcitation
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import ExceptionGuard, Supervisor, SupervisorState
-from steerkit.controllers.with_excitation import WithExcitation
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, Wrapper
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle, WithElement

@@ -16,8 +16,7 @@ import pytest
 from matplotlib.collections import Collection
 from matplotlib.patches import Patch
 
-from steerkit.analysis import linearise, over
-from steerkit.analysis.linear import plot_bode, plot_over, plot_steps
+from steerkit.analysis import linearise, over, plot_bode, plot_over, plot_steps
 from steerkit.cli.log import Contents, contents, picture
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
@@ -29,9 +28,9 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
 from steerkit.learning.nfq.rprop import new_net
+from steerkit.logs import RawLog
 from steerkit.logs.channels import Channel
 from steerkit.logs.drive import Drive
-from steerkit.logs.reading import RawLog
 from steerkit.logs.resimulate import Resimulated, compared
 from steerkit.plots import animation, diagram, drive, style
 from steerkit.scenario import Scenario

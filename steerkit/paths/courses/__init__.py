@@ -250,7 +250,7 @@ def course(name: str) -> Path:
     Raises ValueError for another name, with the nearest one, and for a file of which no course can be made.
     """
     if name not in _COURSES:
-        from steerkit.paths.importers.reading import KINDS, is_file, read_course  # a car's server does without
+        from steerkit.paths.importers import KINDS, is_file, read_course  # a car's server does without
 
         if is_file(name):
             return read_course(name).path

@@ -10,10 +10,9 @@ import pytest
 from steerkit._support.console import console
 from steerkit.cli import drive as command
 from steerkit.diagram.simulation import simulate
-from steerkit.scenario import Scenario
+from steerkit.scenario import Scenario, write_scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.catalogue import CONTROLLERS
-from steerkit.scenario.scenario import write_scenario
 from steerkit.vehicles import VEHICLES, vehicle_text
 from tests.support.own_controller import own_controller
 from tests.support.yard import yard

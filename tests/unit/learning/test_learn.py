@@ -12,7 +12,7 @@ from steerkit.learning.learn import from_log, learn, offline
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import DEFAULT, MODEL_FREE
-from steerkit.scenario.scenario import Scenario
+from steerkit.scenario import Scenario
 from tests.support.modelled_car import driven
 from tests.unit.learning.data.test_from_log import T, slalom, steered
 

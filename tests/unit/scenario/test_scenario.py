@@ -14,9 +14,8 @@ from hypothesis import strategies as st
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
 from steerkit.plants.disturbed_plant import DisturbedPlant
-from steerkit.scenario import END_MARGIN, Scenario
+from steerkit.scenario import END_MARGIN, FORMAT, Scenario, read_scenario, tables, write_scenario
 from steerkit.scenario.parts import Course, Driver, Sensing
-from steerkit.scenario.scenario import FORMAT, read_scenario, tables, write_scenario
 from steerkit.vehicles import VW_PASSAT as PASSAT
 from steerkit.vehicles import G, vehicle, vehicle_text
 from tests.support.yard import yard

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from steerkit.paths.courses import random_course
-from steerkit.scenario import Scenario, fleet_scenario
-from steerkit.scenario.scenario import LAG, OFFSET_DEG, PLAY_DEG, straightest
+from steerkit.scenario import LAG, OFFSET_DEG, PLAY_DEG, Scenario, fleet_scenario, straightest
 from steerkit.vehicles import drawn_car, fleet
 
 MANY = 400

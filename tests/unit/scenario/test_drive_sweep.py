@@ -11,7 +11,7 @@ from steerkit.compiled import TraceError
 from steerkit.diagram.simulation import Log
 from steerkit.metrics import measures_of_log
 from steerkit.plants.speed_driver import ConstantSpeed
-from steerkit.scenario.sweep import sweep
+from steerkit.scenario.drive import sweep
 
 PASSAT, PATH = steerkit.vehicle("vw-passat"), steerkit.course("circle")
 

@@ -11,12 +11,10 @@ import pytest
 
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.paths.courses import course
-from steerkit.paths.importers import Address, Line, contents, is_road, read_course
-from steerkit.paths.importers.reading import chosen
+from steerkit.paths.importers import Address, Line, chosen, contents, is_road, read_course
 from steerkit.paths.path import Path
-from steerkit.scenario import Scenario
+from steerkit.scenario import Scenario, read_scenario
 from steerkit.scenario.drive import controller, drive
-from steerkit.scenario.scenario import read_scenario
 from tests.support import road_files
 from tests.support.command_lines import run
 from tests.unit.paths.importers.test_lanelets import lanelet, osm_file, relation, scenario, way

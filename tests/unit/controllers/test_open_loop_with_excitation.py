@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.open_loop import WAVES, WithExcitation, with_excitation
 from steerkit.controllers.stanley import Stanley
-from steerkit.controllers.with_excitation import WAVES, WithExcitation, with_excitation
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
 from steerkit.paths.courses import course
