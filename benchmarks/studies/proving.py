@@ -25,8 +25,7 @@ from steerkit import LinearSingleTrack, Scenario, vehicle
 from steerkit.logs import read_drive
 from steerkit.proving.evaluate import evaluate
 from steerkit.proving.manoeuvre import manoeuvre, names
-from steerkit.proving.runs import Run, found
-from steerkit.proving.simulate import of_fleet, simulated
+from steerkit.proving.runs import Run, found, of_fleet, simulated
 from steerkit.vehicles import FleetCar, Vehicle, fleet
 
 NOISE = {"r": math.radians(0.1), "a_y": 0.05, "delta_sw": math.radians(0.1), "beta": math.radians(0.1), "v": 0.02}

@@ -97,7 +97,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def _platforms() -> str:
-    from steerkit.car.production.table import AT, rows
+    from steerkit.car.production.platforms import AT, rows
 
     try:
         found = rows()

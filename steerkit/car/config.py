@@ -16,10 +16,9 @@ from typing import Any
 from steerkit._support.errors import in_one_line, known
 from steerkit._support.files import LARGEST_TEXT, read_bytes, read_text, read_toml, toml_of
 from steerkit._support.plugins import is_outside
-from steerkit.car.frames import MAX_JUMP, CommandWriter, FrameReader, Mapping, signal_range
 from steerkit.car.gate import GateLimits
 from steerkit.car.motion import MotionLimits
-from steerkit.car.ports import checked, python_can
+from steerkit.car.ports import MAX_JUMP, CommandWriter, FrameReader, Mapping, checked, python_can, signal_range
 from steerkit.car.production import platforms
 from steerkit.car.production.platforms import PortLimits, limits_of
 from steerkit.car.state_machine import StateLimits

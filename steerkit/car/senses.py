@@ -10,8 +10,8 @@ import numpy as np
 
 from steerkit.car.config import CarConfig
 from steerkit.car.estimates import earlier
-from steerkit.car.frames import FrameReader
 from steerkit.car.motion import MotionCheck
+from steerkit.car.ports import FrameReader
 from steerkit.diagram.units import degrees_of
 from steerkit.estimators.steering_sign import SteeringSigns
 from steerkit.paths.path import Path

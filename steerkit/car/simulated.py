@@ -10,7 +10,7 @@ from typing import Any
 
 from steerkit._support.files import read_toml
 from steerkit.car.config import CarConfig
-from steerkit.car.frames import FrameReader
+from steerkit.car.ports import FrameReader
 from steerkit.controllers.stanley import Stanley
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker

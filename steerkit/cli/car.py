@@ -18,7 +18,7 @@ from steerkit.car.config import loaded
 from steerkit.car.core import Core
 from steerkit.car.panel import stream as show
 from steerkit.car.panel import witness_line
-from steerkit.car.production import table
+from steerkit.car.production import platforms
 from steerkit.car.senses import witness
 from steerkit.car.state_machine import Order
 from steerkit.cli.options import BusOptions, CarOptions, car_options, drive_options
@@ -68,17 +68,17 @@ def show_platforms(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
 ) -> None:
     """Production cars that can be steered through opendbc: by what, from which speed, within which limits."""
-    rows = [row for row in table.rows() if name in ("", row["name"]) and by in ("", row["by"])]
+    rows = [row for row in platforms.rows() if name in ("", row["name"]) and by in ("", row["by"])]
     if not rows:
         known(by, ("angle", "curvature", "torque"), "--by") if by else None
-        table.platform(name)
+        platforms.platform(name)
     if out is not None:
-        table.write(name, out)
+        platforms.write(name, out)
         print(f"{out}: written for {name}; edit it, then: steerkit car check {out}")
     elif as_json:
         print(json.dumps({"platforms": rows}))
     else:
-        print("\n".join(table.lines(rows)))
+        print("\n".join(platforms.lines(rows)))
 
 
 @app.command()

@@ -26,8 +26,7 @@ from steerkit.logs.drive import Drive
 from steerkit.proving import page
 from steerkit.proving.evaluate import Evaluation, evaluate
 from steerkit.proving.manoeuvre import Manoeuvre, read_limits, some
-from steerkit.proving.runs import Run, found
-from steerkit.proving.simulate import of_fleet, simulated
+from steerkit.proving.runs import Run, found, of_fleet, simulated
 from steerkit.scenario import Scenario, read_scenario
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle, fleet

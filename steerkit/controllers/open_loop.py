@@ -1,4 +1,4 @@
-"""Open-loop steering: a prescribed wave of the steering wheel, before and after which a controller steers."""
+"""A wave of the steering wheel, instead of a controller or on top of it: manoeuvres, and what estimators need."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

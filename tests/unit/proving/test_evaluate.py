@@ -14,8 +14,7 @@ from benchmarks.studies.proving import closed_forms, linear, noisy
 from steerkit.metrics.table import r79_acceleration
 from steerkit.proving.evaluate import Evaluation, crossing, evaluate, of_repeats, peak, plateaus
 from steerkit.proving.manoeuvre import Limit, Manoeuvre, manoeuvre, names
-from steerkit.proving.runs import Run
-from steerkit.proving.simulate import simulated
+from steerkit.proving.runs import Run, simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
 
 

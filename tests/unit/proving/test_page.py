@@ -15,8 +15,7 @@ from steerkit._support.version import version
 from steerkit.proving.evaluate import Evaluation, evaluate
 from steerkit.proving.manoeuvre import Limit, manoeuvre, names
 from steerkit.proving.page import write
-from steerkit.proving.runs import Run
-from steerkit.proving.simulate import simulated
+from steerkit.proving.runs import Run, simulated
 
 CAR = Scenario(vehicle={"name": "vw-passat", "plant": "linear"})
 OF_EACH_KIND = tuple({manoeuvre(name).evaluation: name for name in names()}.values())

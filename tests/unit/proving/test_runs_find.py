@@ -11,8 +11,7 @@ from steerkit.logs import read_drive
 from steerkit.logs.drive import Drive
 from steerkit.proving.evaluate import evaluate
 from steerkit.proving.manoeuvre import manoeuvre
-from steerkit.proving.runs import _even, correlated, found
-from steerkit.proving.simulate import simulated
+from steerkit.proving.runs import _even, correlated, found, simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
 
 

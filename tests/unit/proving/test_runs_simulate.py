@@ -7,10 +7,10 @@ import pytest
 
 from steerkit import Scenario
 from steerkit.compiled import TraceError
-from steerkit.proving import simulate
+from steerkit.proving import runs
 from steerkit.proving.evaluate import evaluate
 from steerkit.proving.manoeuvre import manoeuvre, names
-from steerkit.proving.simulate import differing, of_fleet, on_course, simulated
+from steerkit.proving.runs import differing, of_fleet, on_course, simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
 from steerkit.vehicles import fleet
 
@@ -49,7 +49,7 @@ def test_what_cannot_be_compiled_is_interpreted_with_the_same_numbers(monkeypatc
     def refused(*_: object, **__: object) -> None:
         raise TraceError("a block that looks at its numbers")
 
-    monkeypatch.setattr(simulate, "compile", refused)
+    monkeypatch.setattr(runs, "compile", refused)
     (interpreted,) = simulated(one, Scenario())
     assert all(np.array_equal(interpreted[name], compiled[name]) for name in ("r", "a_y", "delta_sw", "v"))
 

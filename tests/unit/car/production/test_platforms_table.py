@@ -6,18 +6,18 @@ import pytest
 
 pytest.importorskip("opendbc")
 
-from steerkit.car.production import table
+from steerkit.car.production import platforms
 
 
 def test_the_table_lists_each_platform_once_and_writes_a_file_that_is_sound(tmp_path: Any) -> None:
-    rows = table.rows()
+    rows = platforms.rows()
     assert len({row["name"] for row in rows}) == len(rows) == 243
     assert {row["by"] for row in rows} == {"angle", "curvature", "torque"}
     assert sum(not row["obstacle"] for row in rows) == 208
-    text = "\n".join(table.lines(rows))
+    text = "\n".join(platforms.lines(rows))
     assert "TESLA_MODEL_3" in text
     assert "208 of 243" in text
-    table.write("NISSAN_ROGUE", tmp_path / "car.toml")
+    platforms.write("NISSAN_ROGUE", tmp_path / "car.toml")
     assert 'opendbc = "NISSAN_ROGUE"' in (tmp_path / "car.toml").read_text(encoding="utf-8")
     with pytest.raises(ValueError, match="exists already"):
-        table.write("NISSAN_ROGUE", tmp_path / "car.toml")
+        platforms.write("NISSAN_ROGUE", tmp_path / "car.toml")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.car.config import load, shipped
-from steerkit.car.frames import UNIT_FACTORS, CommandWriter, FrameReader, Mapping, crc8_2f, frame_crc, signal_range
+from steerkit.car.ports import UNIT_FACTORS, CommandWriter, FrameReader, Mapping, crc8_2f, frame_crc, signal_range
 from steerkit.diagram.units import degrees_of, radians_of
 
 CONFIG = load("dbw-kit.toml")
