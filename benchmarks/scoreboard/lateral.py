@@ -141,7 +141,7 @@ def trained(seed: int, minutes: float) -> Block:
     """SAC's greedy policy after so many minutes of driving."""
     from stable_baselines3 import SAC
 
-    from steerkit.gym.lateral import LateralAcceleration
+    from steerkit.gym.vector_env import LateralAcceleration
 
     env = LateralAcceleration(scenario=CAR)
     net = {"net_arch": [64, 64]}
@@ -154,7 +154,7 @@ class _Greedy:
     """A trained model as a controller of the challenge: it sees what the environment shows."""
 
     def __init__(self, model: Any):
-        from steerkit.gym.lateral import LateralAcceleration
+        from steerkit.gym.vector_env import LateralAcceleration
 
         self.model, self.past, self.seen = model, LateralAcceleration.NO_COMMANDS, LateralAcceleration.seen
 

@@ -1,4 +1,4 @@
-"""A CAN bus: its ports (python-can's, the simulated car's end, the other end of an slcan line), and frames both ways."""
+"""A CAN bus: its ports (python-can's, the simulated car's end, the other end of an slcan line), and its frames."""
 
 import contextlib
 import math

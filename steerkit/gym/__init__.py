@@ -26,4 +26,4 @@ for _name, _kwargs in (("TrackSteering", {}), ("TrackSteeringContinuous", {"acti
             kwargs=_kwargs,
         )
 if "steerkit/LateralAcceleration-v0" not in gymnasium.registry:
-    gymnasium.register("steerkit/LateralAcceleration-v0", entry_point="steerkit.gym.lateral:LateralAcceleration")
+    gymnasium.register("steerkit/LateralAcceleration-v0", entry_point="steerkit.gym.vector_env:LateralAcceleration")

@@ -1,7 +1,7 @@
 """The public names of steerkit.gym."""
 
-from .lateral import LateralAcceleration as LateralAcceleration
 from .task import Task as Task
+from .vector_env import LateralAcceleration as LateralAcceleration
 from .vector_env import Network as Network
 from .vector_env import PolicyBlock as PolicyBlock
 from .vector_env import TrackSteering as TrackSteering

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import optional, require
-from steerkit._support.files import Bounded, atomic_write, decoded
+from steerkit._support.files import Bounded, atomic_write, decoded, parted, text_table
 from steerkit._support.files import read_npz as arrays_of
-from steerkit._support.tables import parted, text_table
 from steerkit.car import recording
 from steerkit.car.config import DIMENSION
 from steerkit.diagram.simulation import Log

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
+from steerkit._support.files import parted, text_table
 from steerkit._support.quantities import QUANTITIES, SPELT, UNITS, ended_unit, place
-from steerkit._support.tables import parted, text_table
 from steerkit.diagram.maths import Array
 from steerkit.diagram.units import FACTORS
 

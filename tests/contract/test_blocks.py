@@ -21,10 +21,10 @@ import pytest
 
 import steerkit
 from steerkit.analysis import FromControl, Tap
+from steerkit.car.loop import ExcursionPredictor
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
-from steerkit.controllers.excursion_predictor import ExcursionPredictor
 from steerkit.controllers.fail_safe import FailSafe
 from steerkit.controllers.lateral import LateralMpc
 from steerkit.controllers.lqr import Lqr

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit._support.files import read_text
-from steerkit._support.tables import seconds_of
+from steerkit._support.files import read_text, seconds_of
 from steerkit.diagram.maths import Array
 from steerkit.paths.importers.course import Line, distinct
 from steerkit.paths.importers.xml_stream import finite, number, records, shown, value

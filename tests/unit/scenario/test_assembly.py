@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from steerkit._support.errors import WiringError
-from steerkit.controllers.excursion_predictor import ExcursionPredictor
+from steerkit.car.loop import ExcursionPredictor
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley

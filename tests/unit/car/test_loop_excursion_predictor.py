@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.car.gate import gate
-from steerkit.controllers.excursion_predictor import ExcursionPredictor
+from steerkit.car.loop import ExcursionPredictor
 from steerkit.diagram.units import radians_of
 from steerkit.vehicles.rollout import GateLimits, GateModel
 

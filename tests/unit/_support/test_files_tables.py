@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steerkit._support.tables import parted, text_table
+from steerkit._support.files import parted, text_table
 
 ROWS = [[0.0, -1.5], [1.25, 2e-3]]
 
