@@ -15,6 +15,7 @@ from steerkit.car.config import load, shipped
 from steerkit.car.loop import controller_named, design_model_of
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import DelayPredictor
+from steerkit.controllers.margins import Doubt, SteeredCar, least_damping
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.diagram.simulation import simulate
@@ -23,16 +24,7 @@ from steerkit.doe import WithElement
 from steerkit.paths.courses import course
 from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.scenario import Scenario, catalogue
-from steerkit.scenario.catalogue import (
-    CONTROLLERS,
-    DesignModel,
-    Doubt,
-    SteeredCar,
-    least_damping,
-    make_controller,
-    make_element,
-    make_recovery,
-)
+from steerkit.scenario.catalogue import CONTROLLERS, DesignModel, make_controller, make_element, make_recovery
 from steerkit.scenario.drive import assembled
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import Rollout

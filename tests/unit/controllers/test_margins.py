@@ -11,9 +11,9 @@ import pytest
 from steerkit.analysis import margins as margins_of
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.lqr import Lqr, LqrDesign
+from steerkit.controllers.margins import Doubt, SteeredCar, damping, least_damping, linearised
 from steerkit.controllers.stanley import Stanley
 from steerkit.plants.single_track import LinearSingleTrack
-from steerkit.scenario.catalogue import Doubt, SteeredCar, damping, least_damping, linearised
 from steerkit.vehicles import VW_PASSAT as PASSAT
 
 MATRICES = LinearSingleTrack(vehicle=PASSAT).matrices
