@@ -14,7 +14,7 @@ from steerkit.controllers.stanley import Stanley, StanleyState
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, without_port
 from steerkit.diagram.maths import Scalar
-from steerkit.estimators.bank import at as picked
+from steerkit.estimators.steering_response import at as picked
 from steerkit.task import TRIP
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import GateModel, Motion, Rollout, lag_share, lag_step, slewed

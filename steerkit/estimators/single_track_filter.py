@@ -11,8 +11,8 @@ from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.estimators import kalman
-from steerkit.estimators.bank import SLOWEST, arrived, steady_gain, yaw_step
 from steerkit.estimators.estimate import estimate_ports
+from steerkit.estimators.steering_response import SLOWEST, arrived, steady_gain, yaw_step
 from steerkit.vehicles import G, Vehicle, require_vehicle
 
 _STANDS, _STANDING = 0.1, 1.0

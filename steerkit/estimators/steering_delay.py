@@ -10,19 +10,9 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.bank import (
-    MOMENTS,
-    SLOWEST,
-    Bank,
-    OfWheel,
-    OfYawRate,
-    Sums,
-    at,
-    steady_gain,
-    yaw_delay,
-    yaw_step,
-)
+from steerkit.estimators.bank import MOMENTS, Bank, OfWheel, OfYawRate, Sums
 from steerkit.estimators.estimate import estimate_ports
+from steerkit.estimators.steering_response import SLOWEST, at, steady_gain, yaw_delay, yaw_step
 from steerkit.task import STOP
 
 _GAP = radians_of(1.0)

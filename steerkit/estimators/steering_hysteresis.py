@@ -10,21 +10,9 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.bank import (
-    MOMENTS,
-    SLOWEST,
-    Bank,
-    Fit,
-    OfWheel,
-    OfYawRate,
-    Sums,
-    Valley,
-    arrived,
-    at,
-    steady_gain,
-    yaw_step,
-)
+from steerkit.estimators.bank import MOMENTS, Bank, Fit, OfWheel, OfYawRate, Sums, Valley
 from steerkit.estimators.estimate import NORMAL_95, estimate_ports
+from steerkit.estimators.steering_response import SLOWEST, arrived, at, steady_gain, yaw_step
 
 _GAIN = 1.0 / 0.3**2
 """Precision of the response's gain, 1 +- 0.3."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from steerkit.estimators.bank import arrived, at, steady_gain, yaw_delay, yaw_step
+from steerkit.estimators.steering_response import arrived, at, steady_gain, yaw_delay, yaw_step
 from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.vehicles import VW_PASSAT as PASSAT
 
