@@ -34,16 +34,8 @@ from steerkit.learning.settings import Setting
 from steerkit.paths.path import Path
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.proving.manoeuvre import Conditions, Input, Manoeuvre
+from steerkit.scenario import catalogue
 from steerkit.scenario.assembly import controller_of, steering_loop, with_controller
-from steerkit.scenario.catalogue import (
-    AUTO,
-    CONTROLLERS,
-    DesignModel,
-    make_controller,
-    make_element,
-    make_recovery,
-    make_safety,
-)
 from steerkit.task import TRIP
 from steerkit.vehicles.rollout import GateModel, beside, yaw_gain
 
@@ -245,25 +237,25 @@ RUN_FORMAT = "steerkit car run 1"
 LEARNED = FilePath("runs/car")
 """Where `steerkit learn --car` keeps its run by default, and where `nfq` is looked for."""
 VALID = (
-    f"{', '.join(CONTROLLERS)}, one of these with a wave on top ({', '.join(f'stanley+{wave}' for wave in WAVES)}), "
-    f"nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file, "
+    f"{', '.join(catalogue.CONTROLLERS)}, one of these with a wave on top "
+    f"({', '.join(f'stanley+{wave}' for wave in WAVES)}), nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file, "
     "my_file.py:make if the car's file allows it"
 )
 
 
-def design_model_of(config: CarConfig) -> DesignModel:
+def design_model_of(config: CarConfig) -> catalogue.DesignModel:
     """What controllers believe of a car: its vehicle, its course, the delay and lag of its kit, the gate's limits.
 
     The delay is that from command to wheel, as it was measured: nothing is added to it.
     """
     stop = min(float(config.vehicle.delta_sw_max), config.gate.delta_sw_max)
     port = config.port_limits
-    return DesignModel(
+    return catalogue.DesignModel(
         vehicle=replace(config.vehicle, delta_sw_max=stop),
         path=config.course,
         delay=config.delay,
         lag=config.lag + (port.late if port else 0.0),
-        rate_limit=min(DesignModel.rate_limit, float(config.gate.rate(config.states.v_engage_max))),
+        rate_limit=min(catalogue.DesignModel.rate_limit, float(config.gate.rate(config.states.v_engage_max))),
         slew=(port.slew or min(config.gate.jerk_max, port.turning)) if port else None,
         a_y_limit=(port.torque_limit or config.gate.a_y_max) if port else None,
         budget=BUDGET,
@@ -297,11 +289,11 @@ def controller_named(name: str, config: CarConfig, *, in_time: bool = False, run
     if in_time:
         design_model = replace(design_model, budget=None, clock=None)
     base, plus, wave = name.partition("+")
-    if plus and base in CONTROLLERS:
-        block = with_excitation(make_controller(base, design_model), wave, config.vehicle)
+    if plus and base in catalogue.CONTROLLERS:
+        block = with_excitation(catalogue.make_controller(base, design_model), wave, config.vehicle)
         return Controller(block=block, steers=Steers(name=name))
-    if name in CONTROLLERS or is_outside(name):
-        block = make_controller(name, design_model)
+    if name in catalogue.CONTROLLERS or is_outside(name):
+        block = catalogue.make_controller(name, design_model)
         code = fingerprint(name, "controller") if is_outside(name) else ""
         return Controller(block=block, steers=Steers(name=name, code=code))
     place = LEARNED if name == "nfq" else FilePath(name)
@@ -348,7 +340,7 @@ def check_allowed(what: str, name: str, config: CarConfig) -> None:
 def policy_in(file: FilePath, doe: str, config: CarConfig) -> Controller:
     """The learned policy in `file`, with the output element of that name."""
     check_allowed("element", doe, config)
-    element = make_element(doe, design_model_of(config).vehicle)
+    element = catalogue.make_element(doe, design_model_of(config).vehicle)
     return Controller(block=NfqPolicy.load(file), steers=Steers.by_policy(file, doe), element=element)
 
 
@@ -373,7 +365,7 @@ def car_loop(
     controller: Block,
     *,
     doe: OutputElement | None = None,
-    recovery: str = AUTO,
+    recovery: str = catalogue.AUTO,
     safe: bool = False,
     clock: Callable[[], float] | None = time.perf_counter,
 ) -> Loop:
@@ -394,7 +386,7 @@ def car_loop(
         driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
         controller=controller,
         doe=element if learned else None,
-        recovery=make_recovery(recovery, design_model) if learned else None,
+        recovery=catalogue.make_recovery(recovery, design_model) if learned else None,
         foresight=foresight(config) if learned else None,
         safety=safety(config, clock) if safe else None,
         reference=config.vehicle.l_f,
@@ -410,7 +402,7 @@ def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailS
     """The safety filter before the gate of `config`."""
     budget = None if clock is None else BUDGET
     return FailSafe(
-        block=make_safety(design_model_of(config), GateModel(limits=config.gate)),
+        block=catalogue.make_safety(design_model_of(config), GateModel(limits=config.gate)),
         budget=budget,
         clock=clock or time.perf_counter,
     )
@@ -422,7 +414,7 @@ def drive(
     link: CarClient,
     controller: Controller,
     *,
-    recovery: str = AUTO,
+    recovery: str = catalogue.AUTO,
     duration: float = float("inf"),
     clock: Clock | None = None,
     watch: Callable[[realtime.Run], bool | None] | None = None,

@@ -17,20 +17,7 @@ from steerkit._support.files import write_rows
 from steerkit._support.plugins import is_outside
 from steerkit.car import loop as loops
 from steerkit.car import session as car_session
-from steerkit.cli.options import (
-    DriveOptions,
-    SceneOptions,
-    Stream,
-    car_options,
-    check_options,
-    drive_options,
-    driven_on,
-    given,
-    in_simulation,
-    on_car,
-    scenario_of,
-    streamed,
-)
+from steerkit.cli import options as shared
 from steerkit.compiled import TraceError
 from steerkit.diagram.loop import Loop, Sample
 from steerkit.diagram.simulation import Log
@@ -47,33 +34,36 @@ from steerkit.scenario.drive import sweep as swept
 _VALID = f"{', '.join(CONTROLLERS)}, nfq, the directory of a learning run, or your own: my_file.py:make"
 
 
-@drive_options
+@shared.drive_options
 def drive(
     ctx: typer.Context,
-    options: DriveOptions,
+    options: shared.DriveOptions,
     names: Annotated[
         list[str] | None, typer.Argument(metavar="CONTROLLER...", show_default=False, help=f"{_VALID}.")
     ] = None,
     controller: Annotated[
         str, typer.Option(help="The same as an option; nfq: what `learn`, called alike, has learned.")
     ] = "",
-    delay: Annotated[float, in_simulation("Steering delay (s).")] = 0.0,
-    rounds: Annotated[float | None, in_simulation("Rounds to drive; default: the scenario's, 1.")] = None,
-    out: Annotated[Path | None, in_simulation("Directory for the log and the picture.")] = None,
-    animate: Annotated[Path | None, in_simulation("Film of the drive to write: .gif, or .mp4 with ffmpeg.")] = None,
-    stream: Stream = "",
+    delay: Annotated[float, shared.in_simulation("Steering delay (s).")] = 0.0,
+    rounds: Annotated[float | None, shared.in_simulation("Rounds to drive; default: the scenario's, 1.")] = None,
+    out: Annotated[Path | None, shared.in_simulation("Directory for the log and the picture.")] = None,
+    animate: Annotated[
+        Path | None, shared.in_simulation("Film of the drive to write: .gif, or .mp4 with ffmpeg.")
+    ] = None,
+    stream: shared.Stream = "",
     target: Annotated[
-        str, in_simulation("A target of lateral acceleration instead of the course: drawn-7, lap, or a CSV file.")
+        str,
+        shared.in_simulation("A target of lateral acceleration instead of the course: drawn-7, lap, or a CSV file."),
     ] = "",
-    pace: Annotated[float, in_simulation("With --stream: times real time.")] = 1.0,
-    minutes: Annotated[float, on_car("How many minutes; 0: until `q`.")] = 0.0,
+    pace: Annotated[float, shared.in_simulation("With --stream: times real time.")] = 1.0,
+    minutes: Annotated[float, shared.on_car("How many minutes; 0: until `q`.")] = 0.0,
 ) -> None:
     """Drive with any controller: a course in simulation, or with --car FILE a car, armed and engaged by keys.
 
     Several controllers drive the same course under the same conditions: one table, one picture.
     """
     elsewhere = {"seed": "nothing is drawn by lot there", "out": "say --recording FILE"}
-    check_options(ctx, elsewhere)
+    shared.check_options(ctx, elsewhere)
     asked = list(names or ())
     if asked and controller and asked != [controller]:
         raise ValueError(f"two controllers, '{asked[0]}' and --controller {controller}; name one")
@@ -82,7 +72,7 @@ def drive(
     if options.car:
         require(len(asked) < 2, "drive", f"{len(asked)} controllers ({', '.join(asked)}), expected one on a car")
         require(name, "drive", f"with which controller? valid: {loops.VALID}")
-        figures = car_session.drive(car_options(options, options.car), name, minutes=minutes)
+        figures = car_session.drive(shared.car_options(options, options.car), name, minutes=minutes)
         if options.as_json:
             print(json.dumps(figures))
         return
@@ -91,26 +81,26 @@ def drive(
         film_writer(animate)
     folder = out is None or out.is_dir() or not out.exists()
     require(folder, f"--out {out}", "is a file, expected a directory for log and picture")
-    require(stream or "pace" not in given(ctx), "drive --pace", "is for --stream PORT; say that too")
+    require(stream or "pace" not in shared.given(ctx), "drive --pace", "is for --stream PORT; say that too")
     require(not (stream and len(asked) > 1), f"--stream {stream}", "shows one controller; name one")
-    scenario = scenario_of(ctx)
+    scenario = shared.scenario_of(ctx)
     if target:
         of_courses = {"rounds", "animate", "stream"} | (set() if target == "lap" else {"course", "speed", "v_max"})
-        idle = ", ".join(f"--{name.replace('_', '-')}" for name in sorted(given(ctx) & of_courses))
+        idle = ", ".join(f"--{name.replace('_', '-')}" for name in sorted(shared.given(ctx) & of_courses))
         require(not idle, f"--target {target}", f"leave {idle} out: it is no course")
         console.stderr = options.as_json
         rows = _lateral(asked, scenario, target, out, options.seed)
         if options.as_json:
             print(json.dumps(rows[0] if len(asked) == 1 else {"drives": rows}))
         return
-    where = driven_on(scenario, options.conditions)
+    where = shared.driven_on(scenario, options.conditions)
     asked = [_learned(where, options.seed) if one == "nfq" else one for one in asked]
     require(len(set(asked)) == len(asked), "drive", f"a controller stands twice in {', '.join(asked)}")
     who = "+".join(map(_file_name, asked))
     place = out or _place_of_its_own(Path("runs") / f"drive-{who}-{where}-seed{options.seed}")
     console.stderr = options.as_json
     require(len(asked) == 1 or animate is None, "--animate", "films one controller; name one")
-    with streamed(stream, pace=pace) as each:
+    with shared.streamed(stream, pace=pace) as each:
         rows = driven(asked, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet, each=each)
     if animate is not None:
         log = Log.load(place / "drive.npz")
@@ -207,17 +197,17 @@ def _learned(where: str, seed: int) -> str:
 _SET = "NAME=LOW:HIGH:COUNT, NAME=LOW:HIGH:COUNT:log (evenly spaced in log) or NAME=VALUE,VALUE,..."
 
 
-@drive_options
+@shared.drive_options
 def sweep(
     ctx: typer.Context,
-    options: SceneOptions,
+    options: shared.SceneOptions,
     controller: Annotated[str, typer.Argument(help="As for `steerkit drive`; or your own: my_file.py:make.")],
     parameters: Annotated[
         list[str],
         typer.Option("--set", help=f"{_SET}: a field of the controller, or of a block: car.vehicle.m. Repeatable."),
     ],
     metrics: Annotated[list[str], typer.Option("--metric", help="Metric of docs/metrics.md; repeatable.")] = [*USUAL],  # noqa: B006 (typer copies it)
-    delay: Annotated[float, in_simulation("Steering delay (s).")] = 0.0,
+    delay: Annotated[float, shared.in_simulation("Steering delay (s).")] = 0.0,
     seconds: Annotated[float, typer.Option(help="How long each car drives (s); 0: as long as its course takes.")] = 0.0,
     out: Annotated[
         Path | None, typer.Option(help="Directory for sweep.csv and sweep.png; default: under runs/.")
@@ -228,7 +218,7 @@ def sweep(
     Several --set make a grid. All drives are compiled into one program and have the same driver, noise and gusts.
     """
     require(out is None or out.is_dir() or not out.exists(), f"--out {out}", "is a file, expected a directory")
-    scenario = scenario_of(ctx)
+    scenario = shared.scenario_of(ctx)
     loop = evaluate.drive_loop(scenario, evaluate.controller(controller, scenario), seed=options.seed)
     values = dict(_values(text, loop) for text in parameters)
     require(len(values) == len(parameters), "--set", f"a name stands twice in {', '.join(parameters)}")
@@ -239,7 +229,7 @@ def sweep(
     except TraceError as error:
         raise ValueError(f"sweep {controller}: {error}") from error
     best = {metric: found.best(metric) for metric in metrics if np.isfinite(found[metric]).any()}
-    default = f"sweep-{Path(controller).name.replace(':', '-')}-{driven_on(scenario, options.conditions)}"
+    default = f"sweep-{Path(controller).name.replace(':', '-')}-{shared.driven_on(scenario, options.conditions)}"
     place = out or Path("runs") / f"{default}-seed{options.seed}"
     place.mkdir(parents=True, exist_ok=True)
     write_rows(place / "sweep.csv", found.columns, list(found.columns.values()))

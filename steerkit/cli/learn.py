@@ -20,23 +20,8 @@ from steerkit._support.files import read_toml
 from steerkit._support.plugins import is_outside, mine, named_in
 from steerkit.car import loop as loops
 from steerkit.car import session as car_session
+from steerkit.cli import options as shared
 from steerkit.cli.log import column_map
-from steerkit.cli.options import (
-    DriveOptions,
-    Machine,
-    Quiet,
-    Seed,
-    Stream,
-    car_options,
-    check_options,
-    drive_options,
-    driven_on,
-    from_a_log,
-    given,
-    in_simulation,
-    scenario_of,
-    streamed,
-)
 from steerkit.diagram.simulation import Log
 from steerkit.learning import report, rundir
 from steerkit.learning.data.from_log import Excitation
@@ -55,10 +40,10 @@ from steerkit.scenario import drive as evaluate
 from steerkit.task import DT
 
 
-@drive_options
+@shared.drive_options
 def learn(
     ctx: typer.Context,
-    options: DriveOptions,
+    options: shared.DriveOptions,
     setting: Annotated[str, typer.Option(help="How to learn: default, paper, bang-bang, ...")] = "default",
     changes: Annotated[
         list[str] | None,
@@ -78,35 +63,38 @@ def learn(
             "On a car: runs/car."
         ),
     ] = None,
-    rounds: Annotated[int, in_simulation("End after so many complete rounds by the learner; 0: never.")] = 0,
+    rounds: Annotated[int, shared.in_simulation("End after so many complete rounds by the learner; 0: never.")] = 0,
     config: Annotated[
-        Path | None, in_simulation("TOML file with an experiment; options given besides change it.")
+        Path | None, shared.in_simulation("TOML file with an experiment; options given besides change it.")
     ] = None,
     live: Annotated[
-        bool, in_simulation("Write learning curves into the run directory while it learns: tensorboard --logdir RUN.")
+        bool,
+        shared.in_simulation("Write learning curves into the run directory while it learns: tensorboard --logdir RUN."),
     ] = False,
-    stream: Stream = "",
+    stream: shared.Stream = "",
     source: Annotated[
         list[str] | None,
-        from_a_log("A recorded drive, of a human or a controller: what `steerkit log` reads; repeatable.", "--from"),
+        shared.from_a_log(
+            "A recorded drive, of a human or a controller: what `steerkit log` reads; repeatable.", "--from"
+        ),
     ] = None,
     delay: Annotated[
         float | None,
-        from_a_log("Of a recorded wheel: the steering's delay from its command (s), which the log cannot show."),
+        shared.from_a_log("Of a recorded wheel: the steering's delay from its command (s), which the log cannot show."),
     ] = None,
-    lag: Annotated[float, from_a_log("Of a recorded wheel: the steering's lag behind its command (s).")] = 0.0,
-    updates: Annotated[int, from_a_log("Updates of the Q-function.")] = UPDATES,
-    columns: Annotated[Path | None, from_a_log("TOML file: which column is what, its unit.", "--map")] = None,
-    column: Annotated[list[str] | None, from_a_log("QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
-    dbc: Annotated[list[str] | None, from_a_log("What is in CAN frames; repeatable.")] = None,
+    lag: Annotated[float, shared.from_a_log("Of a recorded wheel: the steering's lag behind its command (s).")] = 0.0,
+    updates: Annotated[int, shared.from_a_log("Updates of the Q-function.")] = UPDATES,
+    columns: Annotated[Path | None, shared.from_a_log("TOML file: which column is what, its unit.", "--map")] = None,
+    column: Annotated[list[str] | None, shared.from_a_log("QUANTITY=COLUMN[:UNIT[:SCALE]]; repeatable.")] = None,
+    dbc: Annotated[list[str] | None, shared.from_a_log("What is in CAN frames; repeatable.")] = None,
 ) -> None:
     """Let a car learn to steer a course from nothing; the recovery controller takes over where it fails.
 
     With --from LOG it learns from recorded driving alone: of the car --vehicle, shown on --course.
     """
-    check_options(ctx)
+    shared.check_options(ctx)
     if source:
-        for name in given(ctx) & {"car", "minutes", "rounds", "config", "live", "stream"}:
+        for name in shared.given(ctx) & {"car", "minutes", "rounds", "config", "live", "stream"}:
             raise ValueError(f"--{name} is for a car that drives: leave it out, or leave out --from")
         how: dict[str, Any] = {"delay": delay, "lag": lag, "updates": updates, "dbc": dbc or ()}
         _from_log(ctx, options, source, column_map(columns, column), out, **how)
@@ -115,17 +103,24 @@ def learn(
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
         figures = car_session.learn(
-            car_options(options, options.car), chosen, place, minutes=_minutes(minutes, None) or 0.0, seed=options.seed
+            shared.car_options(options, options.car),
+            chosen,
+            place,
+            minutes=_minutes(minutes, None) or 0.0,
+            seed=options.seed,
         )
         if options.as_json:
             print(json.dumps(figures))
         return
     experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
-    place = out or Path("runs") / f"{name}-{driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
+    place = (
+        out
+        or Path("runs") / f"{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
+    )
     console.stderr = options.as_json
     signals = (*SIGNALS, *SAFETY_SIGNALS * experiment.setting.safe)
-    with streamed(stream, signals=signals) as each:
+    with shared.streamed(stream, signals=signals) as each:
         if live:
             console.print(f"live: tensorboard --logdir {place}", soft_wrap=True)
         try:
@@ -147,7 +142,7 @@ def learn(
 
 def _from_log(
     ctx: typer.Context,
-    options: DriveOptions,
+    options: shared.DriveOptions,
     files: list[str],
     columns: ColumnMap,
     out: Path | None,
@@ -174,7 +169,10 @@ def _from_log(
         for note in (*drive.notes, *filter(None, [assumed])):
             console.print(note, soft_wrap=True, highlight=False, markup=False)
     name = Path(files[0]).name.partition(".")[0]
-    place = out or Path("runs") / f"from-{name}-{driven_on(experiment.scenario, options.conditions)}-seed{options.seed}"
+    place = (
+        out
+        or Path("runs") / f"from-{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{options.seed}"
+    )
     with Progress(console=console, disable=options.quiet or not console.is_terminal) as bar:
         task = bar.add_task("updates", total=updates)
         run = from_log(
@@ -205,8 +203,8 @@ def _experiment(ctx: typer.Context, config: Path | None, out: Path | None) -> Ex
     if config is not None:
         with named_in(f"{config}"):
             base = rundir.from_plain(read_toml(config, f"--config {config}"), str(config), Experiment)
-    names, p = given(ctx), ctx.params
-    scenario = scenario_of(ctx) if base is None else scenario_of(ctx, base.scenario)
+    names, p = shared.given(ctx), ctx.params
+    scenario = shared.scenario_of(ctx) if base is None else shared.scenario_of(ctx, base.scenario)
     if base is None or "setting" in names:
         setting = named(p["setting"])
     else:
@@ -243,8 +241,8 @@ def show(
         Path | None,
         typer.Option(help="Log of a policy's drive (drive.npz): say only how far from the run's data it is."),
     ] = None,
-    quiet: Quiet = False,
-    as_json: Machine = False,
+    quiet: shared.Quiet = False,
+    as_json: shared.Machine = False,
 ) -> None:
     """Show a learning run: counts, episodes, learned against Stanley, and its pictures; several as one table."""
     console.stderr = as_json
@@ -283,9 +281,9 @@ EXPERIMENTS = {
 
 
 def demo(
-    seed: Seed = 0,
+    seed: shared.Seed = 0,
     out: Annotated[FilePath, typer.Option(help="Where runs and pictures go.")] = FilePath("runs/demo"),
-    quiet: Quiet = False,
+    quiet: shared.Quiet = False,
 ) -> None:
     """Learn on the 800 m course and on a real recorded lap; compare with Stanley; redraw the paper's figures.
 

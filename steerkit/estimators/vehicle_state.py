@@ -12,17 +12,8 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
+from steerkit.estimators import kalman
 from steerkit.estimators.estimate import estimate_ports
-from steerkit.estimators.kalman import (
-    Covariance,
-    Row,
-    corrected,
-    covariance,
-    packed,
-    predict_covariance,
-    unpacked,
-    widened,
-)
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 
 X, Y, PSI, SWAY, R, V, A, D_X, D_Y, D_PSI, HEADING, GYRO, WHEEL = range(13)
@@ -182,7 +173,7 @@ def moved(
 
 def motion_rows(
     rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float, steer_ratio: Scalar
-) -> tuple[tuple[Scalar, ...], list[Row]]:
+) -> tuple[tuple[Scalar, ...], list[kalman.Row]]:
     """x after h [s], and how x, y, psi, sway, r, v then depend on all before, sparse: by differences of `moved`.
 
     But what sway does to x and y is that of `rhs` for all of h: a slide that the model does not know lasts, where that
@@ -445,7 +436,7 @@ class VehicleState(Block):
         p = [[m.filled(d * d, batch), *(zero,) * (_N - 1 - i)] for i, d in enumerate(deviations)]
         memory = (m.filled(NEVER, batch), *(zero,) * (len(Memory._fields) - 1))
         last = self._behind - 1
-        own = (*(zero,) * _N, *packed(p), *(zero,) * last, *(nan,) * (SIZE * last), *memory)
+        own = (*(zero,) * _N, *kalman.packed(p), *(zero,) * last, *(nan,) * (SIZE * last), *memory)
         if self.steering is None:
             return own
         sheet = (zero, 1.0 + zero, self.steering.vehicle.understeer_gradient + zero, zero, zero)
@@ -491,7 +482,7 @@ class VehicleState(Block):
         speed, beta = course(self.rhs, sway, r, delta, v)
         never = memory.unseen >= NEVER
         shown = [m.where(never, math.nan, value) for value in (px, py, psi, speed, beta, r)]
-        p = unpacked(entries, _N)
+        p = kalman.unpacked(entries, _N)
         c, s, ahead = m.cos(psi), m.sin(psi), self._behind * self.dt * v
         xx, xy, x_psi = p[X][:3]
         yy, y_psi = p[Y][:2]
@@ -535,14 +526,14 @@ class VehicleState(Block):
         after, rows = motion_rows(self.rhs, mean[:V], delta, v, self.dt, self.steer_ratio)
         noise = self._noise(v, rows, wheel - start, unsure, memory)
         kept = [f for f, _ in self._processes]
-        p = predict_covariance(unpacked(entries, _N), rows, kept, noise)
+        p = kalman.predict_covariance(kalman.unpacked(entries, _N), rows, kept, noise)
         drifted = [f * value for f, value in zip(kept, (*mean[A:WHEEL], zero))]
         mean = (*after, mean[V] + self.dt * mean[A], *drifted)
         corrected_mean, p, memory = self._corrected(mean, p, due, memory, delta)
         whole = m.both(m.absolute(u.delta_sw_meas) < ANY_ANGLE, m.is_finite(due.x + due.y + due.psi + due.v + due.r))
         memory = memory._replace(wheel=wheel, held=held, missing=m.where(whole, 0.0, 1.0))
         slots = [value for one in waiting for value in one]
-        own = (*corrected_mean, *packed(p), *wheels[1:], *slots, *memory)
+        own = (*corrected_mean, *kalman.packed(p), *wheels[1:], *slots, *memory)
         return own if self.steering is None else (*own, *self._follow(self.steering, t, x, given))
 
     def _followed(self, x: State) -> Followed:
@@ -577,7 +568,7 @@ class VehicleState(Block):
         return (*steering.update(t, state, watched, found), *followed)
 
     def _noise(
-        self, v: Scalar, rows: Sequence[Row], turned: Scalar, unsure: Scalar, memory: Memory
+        self, v: Scalar, rows: Sequence[kalman.Row], turned: Scalar, unsure: Scalar, memory: Memory
     ) -> dict[int, Scalar]:
         """Variance that a sample adds to each number; sway and r forget theirs as fast as they settle.
 
@@ -606,8 +597,8 @@ class VehicleState(Block):
         return m.clip(largest / (DOUBT_FROM * usual) - 1.0, 0.0, 100.0)
 
     def _corrected(
-        self, mean: Sequence[Scalar], p: Covariance, due: Measured, memory: Memory, delta: Scalar
-    ) -> tuple[Sequence[Scalar], Covariance, Memory]:
+        self, mean: Sequence[Scalar], p: kalman.Covariance, due: Measured, memory: Memory, delta: Scalar
+    ) -> tuple[Sequence[Scalar], kalman.Covariance, Memory]:
         """Means and covariances after what was measured at their time, and what is to be remembered of it."""
         speed, _ = course(self.rhs, mean[SWAY], mean[R], delta, mean[V])
         speed = m.where(mean[V] < 0.0, mean[V], speed)  # a hard stop overshoots, and has no other way back
@@ -624,11 +615,11 @@ class VehicleState(Block):
             known = sum([mean[i] for i in states])
             missed = (due.v - speed, due.r - known, m.wrap(due.psi + due.lead * mean[R] - known))[k]
             noise = deviation**2 + _LEAST
-            square = missed * missed / (covariance(p, states, states) + noise)
+            square = missed * missed / (kalman.covariance(p, states, states) + noise)
             here = m.absolute(missed) < _ABSURD
             used, lasted, wait = self._judged(square, here, memory[2 + k])
-            p = widened(p, {i: m.where(lasted, missed * missed, 0.0) for i in doubted})
-            mean, p = corrected(mean, p, states, missed, noise, used)
+            p = kalman.widened(p, {i: m.where(lasted, missed * missed, 0.0) for i in doubted})
+            mean, p = kalman.corrected(mean, p, states, missed, noise, used)
             rejected = m.where(m.both(here, wait > 0.0), 1.0, rejected)
             waits.append(wait)
             if k > 0:
@@ -639,22 +630,22 @@ class VehicleState(Block):
         x, y = due.x + due.lead * way_x, due.y + due.lead * way_y
         noise, never = self.position_noise**2 + _LEAST, memory.unseen >= NEVER
         missed_x, missed_y = x - mean[X] - mean[D_X], y - mean[Y] - mean[D_Y]
-        xx, yy = covariance(p, _X_SUM, _X_SUM) + noise, covariance(p, _Y_SUM, _Y_SUM) + noise
-        xy = covariance(p, _X_SUM, _Y_SUM)
+        xx, yy = kalman.covariance(p, _X_SUM, _X_SUM) + noise, kalman.covariance(p, _Y_SUM, _Y_SUM) + noise
+        xy = kalman.covariance(p, _X_SUM, _Y_SUM)
         distance = yy * missed_x * missed_x - 2.0 * xy * missed_x * missed_y + xx * missed_y * missed_y
         distance = distance / (xx * yy - xy * xy)
         here = m.both(m.absolute(missed_x) < _ABSURD, m.absolute(missed_y) < _ABSURD)
         used, lasted, wait = self._judged(0.5 * distance, here, m.where(never, 2.0 * self.patience, memory.position))
         more_x, more_y = (m.where(lasted, missed * missed, 0.0) for missed in (missed_x, missed_y))
         moved_on = m.where(never, 0.0, 1.0)
-        p = widened(p, {X: more_x, Y: more_y, D_X: moved_on * more_x, D_Y: moved_on * more_y})
+        p = kalman.widened(p, {X: more_x, Y: more_y, D_X: moved_on * more_x, D_Y: moved_on * more_y})
         c, s = m.cos(mean[PSI]), m.sin(mean[PSI])
         across = m.sqrt(m.maximum(c * c * yy - 2.0 * s * c * xy + s * s * xx, _LEAST))
         means.append(self._mean_of(memory.aside, (c * missed_y - s * missed_x) / across, here))
         nis, count = nis + m.where(here, distance, 0.0), count + m.where(here, 2.0, 0.0)
         rejected = m.where(m.both(here, wait > 0.0), 1.0, rejected)
-        mean, p = corrected(mean, p, _X_SUM, missed_x, noise, used)
-        mean, p = corrected(mean, p, _Y_SUM, y - mean[Y] - mean[D_Y], noise, used)
+        mean, p = kalman.corrected(mean, p, _X_SUM, missed_x, noise, used)
+        mean, p = kalman.corrected(mean, p, _Y_SUM, y - mean[Y] - mean[D_Y], noise, used)
         unseen = m.where(used, 0.0, memory.unseen + self.dt)
         return (
             mean,

@@ -12,19 +12,8 @@ from numpy.typing import ArrayLike
 from steerkit.diagram.maths import Array
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of
+from steerkit.metrics import signals
 from steerkit.metrics.drive import same_shapes, summary
-from steerkit.metrics.signals import (
-    accelerations,
-    largest,
-    lateral_jerk,
-    magnitude_at,
-    reversal_rate,
-    rms,
-    samples,
-    share_within,
-    step,
-    time_over,
-)
 
 R79_CUTOFF = 0.5
 """Cut-off of the filter of lateral acceleration [Hz]; source: UN R79, 03 series, annex 8."""
@@ -39,7 +28,7 @@ def r79_acceleration(t: ArrayLike, a_y: ArrayLike) -> Array:
     t (T,) [s], even; a_y (T,) [m/s^2] at the centre of gravity. Raises ValueError for uneven t or dt above 0.25 s.
     Source: UN R79, 03 series, annex 8; it asks for at least 100 samples a second, which is not enforced.
     """
-    values, dt = samples("r79_acceleration", a_y), step(t, "r79_acceleration", a_y)
+    values, dt = signals.samples("r79_acceleration", a_y), signals.step(t, "r79_acceleration", a_y)
     if dt > 0.25:
         raise ValueError(f"r79_acceleration: dt = {dt:g} s, expected <= 0.25 s for a cut-off of {R79_CUTOFF:g} Hz")
     sos = scipy.signal.butter(4, R79_CUTOFF, fs=1.0 / dt, output="sos")
@@ -53,7 +42,7 @@ def r79_jerk(t: ArrayLike, a_y: ArrayLike) -> Array:
     t (T,) [s], even; a_y (T,) [m/s^2]. Returns one value for each sample that has 0.5 s before it. Raises ValueError
     as `lateral_jerk` does. Source: UN R79, 03 series, 5.6.2.1.3 (limit 5 m/s^3) and annex 8.
     """
-    return lateral_jerk(t, r79_acceleration(t, a_y))
+    return signals.lateral_jerk(t, r79_acceleration(t, a_y))
 
 
 def wd_filter(rate: float) -> Array:
@@ -86,14 +75,14 @@ def weighted_acceleration(t: ArrayLike, a_y: ArrayLike) -> float:
     Comfort reactions (annex C): below 0.315 not uncomfortable, 0.5 to 1 fairly uncomfortable, above 2 extremely.
     Raises ValueError for uneven t. Source: ISO 2631-1:1997, equation 1, k_d = 1.
     """
-    values, dt = samples("weighted_acceleration", a_y), step(t, "weighted_acceleration", a_y)
+    values, dt = signals.samples("weighted_acceleration", a_y), signals.step(t, "weighted_acceleration", a_y)
     times = math.ceil((1.0 - 1e-6) * WEIGHTING_RATE * dt)
     # both ends held for 2 s: the interpolator sees no edge there, and the weighting starts at rest
     held = math.ceil(2.0 / dt)
     long = np.pad(values - values[0], held, mode="edge")
     fine = scipy.signal.resample_poly(long, times, 1, padtype="edge")
     weighted = scipy.signal.sosfilt(wd_filter(times / dt), fine)
-    return rms(weighted[held * times : (held + len(values)) * times])
+    return signals.rms(weighted[held * times : (held + len(values)) * times])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,19 +140,19 @@ def measures(*, t: ArrayLike, e: ArrayLike, psi_e: ArrayLike, delta_sw: ArrayLik
     """
     same_shapes("measures", {"t": t, "e": e, "psi_e": psi_e, "delta_sw": delta_sw, "a_y": a_y})
     heading_error = degrees_of(np.asarray(psi_e, dtype=float))
-    wheel_acceleration = degrees_of(accelerations(t, delta_sw))
+    wheel_acceleration = degrees_of(signals.accelerations(t, delta_sw))
     found = vars(summary(t=t, e=e, delta_sw=delta_sw, a_y=a_y)) | {
-        "p95_e": magnitude_at(e, 0.95),
-        "share_within_25cm": share_within(e, 0.25),
-        "time_over_50cm": time_over(t, e, 0.5),
-        "rms_psi_e_deg": rms(heading_error),
-        "max_psi_e_deg": largest(heading_error),
-        "rms_wheel_acceleration_deg": rms(wheel_acceleration),
-        "max_wheel_acceleration_deg": largest(wheel_acceleration),
-        "large_reversals": reversal_rate(t, delta_sw, gap_deg=3.0, cutoff=0.6),
-        "small_reversals": reversal_rate(t, delta_sw, gap_deg=0.1, cutoff=2.0),
-        "max_a_y_r79": largest(r79_acceleration(t, a_y)),
-        "max_jerk_r79": largest(r79_jerk(t, a_y)),
+        "p95_e": signals.magnitude_at(e, 0.95),
+        "share_within_25cm": signals.share_within(e, 0.25),
+        "time_over_50cm": signals.time_over(t, e, 0.5),
+        "rms_psi_e_deg": signals.rms(heading_error),
+        "max_psi_e_deg": signals.largest(heading_error),
+        "rms_wheel_acceleration_deg": signals.rms(wheel_acceleration),
+        "max_wheel_acceleration_deg": signals.largest(wheel_acceleration),
+        "large_reversals": signals.reversal_rate(t, delta_sw, gap_deg=3.0, cutoff=0.6),
+        "small_reversals": signals.reversal_rate(t, delta_sw, gap_deg=0.1, cutoff=2.0),
+        "max_a_y_r79": signals.largest(r79_acceleration(t, a_y)),
+        "max_jerk_r79": signals.largest(r79_jerk(t, a_y)),
         "weighted_a_y": weighted_acceleration(t, a_y),
     }
     return {metric.name: found[metric.name] for metric in TABLE if metric.name in found}

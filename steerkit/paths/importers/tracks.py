@@ -15,20 +15,9 @@ from numpy.typing import NDArray
 from steerkit._support.errors import require
 from steerkit._support.files import read_text, seconds_of
 from steerkit.diagram.maths import Array
+from steerkit.paths import waypoints
 from steerkit.paths.importers.course import Line, distinct
 from steerkit.paths.importers.xml_stream import finite, number, records, shown, value
-from steerkit.paths.waypoints import (
-    FASTEST,
-    check_metres,
-    check_stated,
-    distances,
-    placed,
-    read_columns,
-    said_of,
-    stated,
-    stray_ends,
-    travelled,
-)
 
 
 class Track:
@@ -56,18 +45,18 @@ class Track:
     def line(self) -> Line:
         """All of it in metres: as it is, or east and north of the first; raises ValueError for no place on Earth."""
         names = ("x", "y") if self.flat else ("lat", "lon")
-        return Line(xy=placed(dict(zip(names, map(np.frombuffer, (self.a, self.b)))), self.name)[0])
+        return Line(xy=waypoints.placed(dict(zip(names, map(np.frombuffer, (self.a, self.b)))), self.name)[0])
 
     def driven(self, noise: float, span: tuple[float, float], where: str) -> tuple[Line, list[str]]:
         """Its line without what was recorded at rest, and what was done; span: from and to, after its start [s]."""
         line = self.line()
         if self.flat:
-            check_metres(line.xy, where)
+            waypoints.check_metres(line.xy, where)
         t, v = (np.array(column) if column else np.full(len(line.xy), np.nan) for column in (self.t, self.v))
         timed = not self.drawn and np.isfinite(t).sum() > 0.5 * len(t)
         require(timed or span == EVER, where, "from, to [s] choose by time, which these positions are without")
         line, more = (line, []) if self.drawn else cleaned(line.xy, t, v, noise, where, span)
-        return line, said_of(self.bad) + more
+        return line, waypoints.said_of(self.bad) + more
 
     def read(
         self, where: str, place: Callable[[], Iterable[float]], t: object = None, v: Element | None = None
@@ -86,7 +75,7 @@ class Track:
     def trim(self) -> None:
         """Leave out a first and a last position that are wrong: the first would be the origin of all."""
         a, b, t = (np.array(column) for column in (self.a, self.b, self.t))
-        for end, why in stray_ends(a, b, t, flat=self.flat, drawn=self.drawn).items():
+        for end, why in waypoints.stray_ends(a, b, t, flat=self.flat, drawn=self.drawn).items():
             self.bad.append(why)
             for column in (self.a, self.b, self.t, self.v):
                 column.pop(end)
@@ -250,10 +239,10 @@ def _place(point: Any, flat: bool) -> list[float]:
 def csv(file: str) -> list[Track]:
     """The points of a CSV file with columns x, y [m] or lat, lon [degrees], and t [s], v [m/s] where there are any."""
     text, bad = read_text(file, "course", latin=True), dict[int, str]()
-    columns = read_columns(text, file, bad)
+    columns = waypoints.read_columns(text, file, bad)
     flat = {"x", "y"} <= columns.keys()
     require(flat or {"lat", "lon"} <= columns.keys(), file, f"columns {', '.join(columns)}; valid: x, y or lat, lon")
-    said = stated(text)
+    said = waypoints.stated(text)
     del text
     track = Track("0", flat=flat)
     track.bad += bad.values()
@@ -262,9 +251,9 @@ def csv(file: str) -> list[Track]:
         column.frombytes(columns.pop(name, np.empty(0)).tobytes())
     if said and flat:
         xy = track.line().xy
-        steps, gap = distances(xy), math.dist(xy[0], xy[-1])
+        steps, gap = waypoints.distances(xy), math.dist(xy[0], xy[-1])
         length = float(steps.sum()) + (min(gap, 1.5 * float(np.median(steps))) if said[0] else 0.0)
-        check_stated(said[1], length, 0.5 + 2e-3 * length, file)
+        waypoints.check_stated(said[1], length, 0.5 + 2e-3 * length, file)
     return [track]
 
 
@@ -299,8 +288,8 @@ def cleaned(
     known[known] = np.diff(t[known], prepend=-np.inf) != 0.0
     xy, t, v = xy[known], t[known], v[known]
     notes = [f"left out {(~known).sum()} points without a time of their own"] if not known.all() else []
-    far = np.hypot(*(xy[2:] - xy[:-2]).T) - min(6.0 * noise, 30.0) <= FASTEST * np.abs(t[2:] - t[:-2])
-    jumps = distances(xy) - min(6.0 * noise, 30.0) > FASTEST * np.abs(np.diff(t))
+    far = np.hypot(*(xy[2:] - xy[:-2]).T) - min(6.0 * noise, 30.0) <= waypoints.FASTEST * np.abs(t[2:] - t[:-2])
+    jumps = waypoints.distances(xy) - min(6.0 * noise, 30.0) > waypoints.FASTEST * np.abs(np.diff(t))
     wrong = np.flatnonzero(jumps[1:] & jumps[:-1] & far) + 1
     if wrong.size:
         notes.append(f"left out {wrong.size} wrong positions, which no car reaches; the first is point {wrong[0]}")
@@ -310,13 +299,13 @@ def cleaned(
     many = f"{within.sum()} points with times of their own, expected 4 or more"
     require(within.sum() >= 4, where, f"{many}; it lasts from 0 to {since.max():.0f} s")
     xy, t, v, since = xy[within], t[within], v[within], since[within]
-    moved, steps = distances(xy), np.diff(t)
+    moved, steps = waypoints.distances(xy), np.diff(t)
     lost = (steps > max(_LOST, 3.0 * float(np.median(np.abs(steps))))) & (moved > _MOVED + 6.0 * noise)
-    breaks = np.flatnonzero(lost | (steps < 0.0) | (moved - min(6.0 * noise, 30.0) > FASTEST * np.abs(steps)))
+    breaks = np.flatnonzero(lost | (steps < 0.0) | (moved - min(6.0 * noise, 30.0) > waypoints.FASTEST * np.abs(steps)))
     if breaks.size:
         ends = [0, *(breaks + 1), len(t)]
         parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
-        metres = [float(distances(xy[part]).sum()) if part.stop - part.start >= 4 else 0.0 for part in parts]
+        metres = [float(waypoints.distances(xy[part]).sum()) if part.stop - part.start >= 4 else 0.0 for part in parts]
         part = parts[int(np.argmax(metres))]
         require(max(metres) > 0.0, where, f"is in {len(parts)} parts of less than 4 points: gaps, or time runs back")
         k = breaks[0]
@@ -384,9 +373,9 @@ def rounds(line: Line, noise: float, which: int | None, where: str) -> tuple[Lin
 
 def _returns(xy: Array, noise: float) -> list[int]:
     """The points at which a track has come round to its beginning: the nearest of each visit, going the same way."""
-    steps = distances(xy)
+    steps = waypoints.distances(xy)
     usual = float(np.median(steps))
-    s = travelled(xy)
+    s = waypoints.travelled(xy)
     reach = max(5.0, 4.0 * noise, 1.5 * usual)
     ahead = min(int(np.searchsorted(s, max(10.0, 6.0 * noise))), len(xy) - 1)
     away = xy[ahead] - xy[0]
