@@ -238,8 +238,8 @@ LEARNED = FilePath("runs/car")
 """Where `steerkit learn --car` keeps its run by default, and where `nfq` is looked for."""
 VALID = (
     f"{', '.join(catalogue.CONTROLLERS)}, one of these with a wave on top "
-    f"({', '.join(f'stanley+{wave}' for wave in WAVES)}), nfq (the newest net in {LEARNED}), a learning run's directory, a policy's .npz file, "
-    "my_file.py:make if the car's file allows it"
+    f"({', '.join(f'stanley+{wave}' for wave in WAVES)}), nfq (the newest net in {LEARNED}), a learning run's "
+    "directory, a policy's .npz file, my_file.py:make if the car's file allows it"
 )
 
 
