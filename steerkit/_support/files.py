@@ -15,7 +15,6 @@ import tomllib
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path as FilePath
 from typing import IO, Any
@@ -274,19 +273,11 @@ _UNIT = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)")
 
 
-@dataclass(frozen=True, eq=False)
-class TextTable:
-    """The names of a table's columns, and its rows as they are read."""
-
-    names: list[str]
-    """As they stand, with their units."""
-    rows: Iterator[tuple[int, str, list[float | None]]]
-    """Number of the line, the line, and its cells; None for what is no number."""
-
-
-def text_table(lines: Iterable[str], where: str) -> TextTable:
+def text_table(lines: Iterable[str], where: str) -> tuple[list[str], Iterator[tuple[int, str, list[float | None]]]]:
     """The table in lines of text, with one row of names: the first row, or the last comment above rows of numbers.
 
+    Returns the names as they stand, with their units, and the rows as they are read: number of the line, the line, and
+    its cells, None for what is no number.
     Columns are parted by `;`, tab, `,`, `|` or, where there is none of them, blanks; decimal commas are read where the
     comma does not part columns. A cell may be a time: ISO 8601 (seconds since 1970), or hours, minutes and seconds
     (seconds since midnight). `#` begins a comment. Raises ValueError for a table without a row of names.
@@ -313,13 +304,10 @@ def text_table(lines: Iterable[str], where: str) -> TextTable:
         require(names, where, f"{what}, with units, such as 'x [m]', 'lat', 't [ms]'")
     else:
         next(rows)
-    return TextTable(
-        names,
-        (  # to Python 1_5 would be 15
-            (k, line, _numbers(cells_of(line.replace("_", "?"), mark), mark))
-            for k, line in rows
-            if not line.lstrip().startswith("#")
-        ),
+    return names, (  # to Python 1_5 would be 15
+        (k, line, _numbers(cells_of(line.replace("_", "?"), mark), mark))
+        for k, line in rows
+        if not line.lstrip().startswith("#")
     )
 
 

@@ -57,11 +57,10 @@ def _ended(lines: Iterator[str], notes: list[str]) -> Iterator[str]:
 
 
 def _table(path: Path, lines: Iterator[str], notes: list[str]) -> Table:
-    table = text_table(lines, str(path))
-    names = table.names
+    names, rows = text_table(lines, str(path))
     require(len(set(names)) == len(names), str(path), f"two columns of one name: {', '.join(names)}")
     values, odd, last = array("d"), 0, False  # as text all of it would take many times the memory
-    for _, _, numbers in table.rows:
+    for _, _, numbers in rows:
         last = len(numbers) != len(names)
         odd += last
         if not last:

@@ -34,13 +34,13 @@ def read_columns(text: str, where: str, left_out: dict[int, str] | None = None) 
     """
     what = "is XML, expected CSV; a file that holds GPX has to end in .gpx, and so on"
     require(not text.lstrip().startswith("<"), where, what)
-    table = text_table(_lines(text), where)
-    columns = _named(table.names, where)
+    names, read_rows = text_table(_lines(text), where)
+    columns = _named(names, where)
     places = next((two for two in (("x", "y"), ("lat", "lon")) if {*two} <= {one for one, _ in columns}), ())
     read, place = ([n for n, (one, _) in enumerate(columns) if one in some] for some in (_READ, places))
     bad: dict[int, str] = {} if left_out is None else left_out
     values, lines = array("d"), array("I")  # of a row of text at a time: all of it as text would take twenty times
-    for k, line, numbers in table.rows:
+    for k, line, numbers in read_rows:
         if None in numbers and len(numbers) == len(columns):  # a word that nothing here reads is none that is wrong
             numbers = [math.nan if one is None and n not in read else one for n, one in enumerate(numbers)]
         whole = None not in numbers and len(numbers) == len(columns)
@@ -48,7 +48,7 @@ def read_columns(text: str, where: str, left_out: dict[int, str] | None = None) 
             values.extend(numbers)  # type: ignore[arg-type]
             lines.append(k)
         else:
-            bad[k] = f"line {k} is {line[:200]!r}, expected {len(columns)} numbers ({','.join(table.names)})"
+            bad[k] = f"line {k} is {line[:200]!r}, expected {len(columns)} numbers ({','.join(names)})"
             require(left_out is not None, where, bad[k])
     first = next(iter(bad.values()), "no rows, expected a header such as 'x,y' or 'lat,lon' and one point a line")
     require(lines, where, first)

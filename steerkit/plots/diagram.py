@@ -27,24 +27,24 @@ def plot_diagram(loop: "Loop") -> "Figure":
     """
     from matplotlib.figure import Figure
 
-    picture = arrange(loop)
+    boxes, lines, across, height = arrange(loop)
     margin, inch = 0.8, 0.185
-    size = (picture.width + 2.0 * margin) * inch, (picture.height + 2.0 * margin + 0.8) * inch
+    size = (across + 2.0 * margin) * inch, (height + 2.0 * margin + 0.8) * inch
     with style():
         figure = Figure(figsize=size, dpi=DPI)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(-margin, picture.width + margin), ylim=(picture.height + margin + 0.8, -margin), aspect="equal")
+    axes.set(xlim=(-margin, across + margin), ylim=(height + margin + 0.8, -margin), aspect="equal")
     axes.axis("off")
-    for number, line in enumerate(picture.lines):  # the halo of a later wire cuts the earlier ones where they cross
+    for number, line in enumerate(lines):  # the halo of a later wire cuts the earlier ones where they cross
         order = 1.0 + number / 100.0
         for shade, width, above in ((COLOURS["paper"], 4.0, 0.0), (PALETTE[line.source % len(PALETTE)], 1.2, 0.005)):
             for way in line.ways:
                 axes.plot(*zip(*way), color=shade, lw=width, zorder=order + above, solid_joinstyle="round")
-    for number, box in enumerate(picture.boxes):
+    for number, box in enumerate(boxes):
         hollow = {port.name for port in loop.blocks[box.name].inputs if not port.direct}
         _draw_box(axes, box, PALETTE[number % len(PALETTE)], hollow)
     note = f"base step {loop.dt:g} s   ○ input seen by update only, not by output"
-    axes.text(0.0, picture.height + margin, note, fontsize=7.5, color=COLOURS["muted"], va="center")
+    axes.text(0.0, height + margin, note, fontsize=7.5, color=COLOURS["muted"], va="center")
     return figure
 
 
@@ -137,19 +137,10 @@ class Line:
         return ways
 
 
-@dataclass(frozen=True)
-class Diagram:
-    """The whole picture: boxes in the order of the loop's blocks, wires, total width and height."""
-
-    boxes: tuple[Box, ...]
-    lines: tuple[Line, ...]
-    width: float
-    height: float
-
-
-def arrange(loop: "Loop") -> Diagram:
+def arrange(loop: "Loop") -> tuple[tuple[Box, ...], tuple[Line, ...], float, float]:
     """The picture of a loop: a block stands right of those that drive it, in the order in which blocks are called.
 
+    Returns the boxes in the order of the loop's blocks, the wires, total width and height.
     Wires to the next column run straight there; those that leave out columns run above all boxes, those back below.
     """
     boxes = tuple(_box(loop, name) for name in loop.names)
@@ -171,7 +162,7 @@ def arrange(loop: "Loop") -> Diagram:
         for box in column:
             box.x, box.width = x, width
         x += width
-    return Diagram(boxes, lines, x, height)
+    return boxes, lines, x, height
 
 
 def _box(loop: "Loop", name: str) -> Box:
