@@ -13,7 +13,7 @@ import pytest
 from rich import markup
 
 import steerkit
-from steerkit.cli import WORDS, demo
+from steerkit.cli import WORDS, learn
 from steerkit.cli import app as command_line
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
@@ -116,7 +116,7 @@ def test_the_demonstration_names_the_car_and_the_time_in_every_line(
         setting=setting, scenario=Scenario(course={"name": "circle", "rounds": 0.1}), minutes=3.0, rounds=1
     )
     cars = {"one, round": short, "two": replace(short, minutes=0.05), "three [b]": replace(short, minutes=0.05)}
-    monkeypatch.setattr(demo, "EXPERIMENTS", cars)
+    monkeypatch.setattr(learn, "EXPERIMENTS", cars)
     monkeypatch.setenv("COLUMNS", "110")
     assert run("demo", "--out", str(tmp_path), monkeypatch=monkeypatch) == 0
     first, *lines = capfd.readouterr().out.splitlines()
