@@ -38,8 +38,7 @@ from scipy.signal import butter, filtfilt
 from steerkit.diagram.maths import Array
 from steerkit.identification import Drive, shipped_drives
 from steerkit.identification.ahead import HORIZONS, look_ahead
-from steerkit.identification.residual import Residual, learn_residual
-from steerkit.identification.tyres import Tyres, accelerations, identify_tyres, pacejka
+from steerkit.identification.tyres import Residual, Tyres, accelerations, identify_tyres, learn_residual, pacejka
 from steerkit.logs import read_drive
 from steerkit.plants.single_track import fiala
 from steerkit.vehicles import VW_PASSAT, G, Vehicle, drawn_car, scaled

@@ -8,8 +8,7 @@ residual = learn_residual(tyres, drive)
 """
 
 from steerkit.identification.fit import identify
-from steerkit.identification.residual import learn_residual
-from steerkit.identification.tyres import identify_tyres
+from steerkit.identification.tyres import identify_tyres, learn_residual
 from steerkit.logs import Drive, read_drive, shipped_drives
 
 __all__ = ["Drive", "identify", "identify_tyres", "learn_residual", "read_drive", "shipped_drives"]

@@ -16,8 +16,7 @@ from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import Rollout
 
 if TYPE_CHECKING:
-    from steerkit.identification.residual import Residual
-    from steerkit.identification.tyres import Tyres
+    from steerkit.identification.tyres import Residual, Tyres
 
 HORIZONS = (0.2, 0.5, 1.0, 2.0)
 """How far ahead is judged [s]."""

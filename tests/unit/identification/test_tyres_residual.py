@@ -10,8 +10,7 @@ import pytest
 
 from steerkit.identification import Drive, identify_tyres, learn_residual
 from steerkit.identification.ahead import MEMORY, look_ahead
-from steerkit.identification.residual import Residual, missed
-from steerkit.identification.tyres import Tyres
+from steerkit.identification.tyres import Residual, Tyres, missed
 from steerkit.vehicles import VW_PASSAT
 from tests.unit.identification.test_tyres import DT, made, mirrored
 
