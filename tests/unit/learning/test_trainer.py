@@ -20,6 +20,7 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting, Problem
 from steerkit.learning.trainer import Job, Nets, SimulatedTrainer, Trainer
+from tests.support import programs
 from tests.support.programs import alive
 
 ACTIONS = (-0.1, 0.0, 0.1)
@@ -87,6 +88,12 @@ def shared() -> Iterator[Trainer]:
     """One process for all tests that leave it whole."""
     with Trainer() as trainer:
         yield trainer
+
+
+@pytest.fixture(autouse=True)
+def forks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes begin as forks, but for the shared one: what they import takes longer than what they do."""
+    programs.forking(monkeypatch.setattr)
 
 
 @pytest.fixture

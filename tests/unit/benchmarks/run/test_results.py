@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +17,15 @@ NEVER = "tracking--paper--mpc--s1"
 """A case that is planned and was not carried out."""
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    return write(tmp_path_factory.mktemp("results") / "a", seeds=(0, 1), grid=False)
+
+
 @pytest.fixture
-def results(tmp_path: Path) -> Results:
-    return write(tmp_path / "a", seeds=(0, 1), grid=False)
+def results(written: Results, tmp_path: Path) -> Results:
+    """A copy, to be broken."""
+    return replace(written, place=Path(shutil.copytree(written.place, tmp_path / "a")))
 
 
 def test_read_as_written(results: Results) -> None:
