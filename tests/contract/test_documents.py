@@ -52,6 +52,7 @@ SHORTER = {
     "looking": {"fps=5": "fps=1"},
     "tutorial": {
         "minutes=0.75": "minutes=0.1",
+        "doe=run.experiment.setting.element(passat)": "doe=run.experiment.setting.element(passat), rounds=0.1",
         "Mine(k=4.0)),\n" + BEFORE: "Mine(k=4.0)),\n    **dict(list(logs.items())[1:]),\n}",  # driven above
     },
 }
@@ -242,9 +243,9 @@ def test_gallery(
     from matplotlib.image import imread
 
     monkeypatch.chdir(tmp_path)
-    code, learners = re.subn(r"minutes=[\d./ ]+", "minutes=0.1", script.read_text(encoding="utf-8"))
+    code = re.sub(r"minutes=[\d./ ]+", "minutes=0.1", script.read_text(encoding="utf-8"))
     quick = tmp_path / script.name
-    quick.write_text(code.replace('"paper"', '"circle"') if learners else code, encoding="utf-8")
+    quick.write_text(code.replace('"paper"', '"circle"').replace("rounds=0.43", "rounds=0.1"), encoding="utf-8")
     runpy.run_path(str(quick), run_name="__main__")
     assert capsys.readouterr().out.strip()
     picture = imread(tmp_path / f"{script.stem}.png")
