@@ -25,7 +25,6 @@ from tests.support.parts import Count
 from tests.support.short_run import FAST
 
 CAR = ("--car", "dbw-kit.toml")
-TWO = ("--controller", "mpc", "--controller", "lqr")
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,7 @@ from steerkit.learning.pictures import film_of
 from steerkit.scenario import Scenario
 
 
-def test_learn_from_a_config_then_show_it_and_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any
-) -> None:
+def test_learn_from_a_config_then_show_it_and_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> None:
     monkeypatch.setitem(film_of.__kwdefaults__, "fps", 2.0)
     config, place, film = tmp_path / "my.toml", tmp_path / "run", tmp_path / "film.gif"
     course = "scenario.course = {name = 'circle', rounds = 0.1}"

@@ -76,7 +76,7 @@ def test_a_run_goes_on_from_any_of_its_trainings_with_the_same_numbers(name: str
     whole = learn(experiment)
     assert whole.counts.updates >= 2
     halves = 0
-    for updates in range(1, min(3, whole.counts.updates)):
+    for updates in range(1, 2 if experiment.setting.safe else 3):
         place = tmp_path / str(updates)
         place.mkdir()
         killed = LearningRun(experiment)

@@ -1,6 +1,7 @@
 """One process at a time learns in a directory; whoever reads meanwhile sees a whole checkpoint."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -90,8 +91,10 @@ def test_reading_beside_a_learner_sees_whole_checkpoints_only(tmp_path: Path) ->
     assert read == sorted(read)
 
 
-def test_a_checkpoint_taken_away_while_it_is_read_is_no_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    learn(SHORT, tmp_path)
+def test_a_checkpoint_taken_away_while_it_is_read_is_no_fault(
+    kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
     run = rundir.resumed(tmp_path)
     whole = rundir._load
     tries: list[int] = []
