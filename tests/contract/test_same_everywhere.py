@@ -41,7 +41,7 @@ from steerkit.vehicles import VW_PASSAT as CAR
 from tests.support.compilers import optimising
 
 PAPER = course("paper")
-SECONDS = 2.0
+SECONDS = 1.5
 CARS = 5
 needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
 few = settings(max_examples=2, suppress_health_check=list(HealthCheck), derandomize=True)
