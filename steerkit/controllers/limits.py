@@ -52,13 +52,20 @@ class LimitedLaw(Block):
         )
 
 
-def approach_angle(e: Scalar, v: Scalar, a_y: Scalar) -> Scalar:
+def approach_angle(e: Scalar, v: Scalar, a_y: Scalar, slew: Scalar | None = None) -> Scalar:
     """Steepest angle [rad] to a path e [m] away from which a curve of a_y [m/s^2] still meets it tangentially.
 
-    sqrt(2 a_y |e|)/v, from e = R (1 - cos(angle)) with R = v^2/a_y and a small angle; 1 cm is added to |e| for the
-    derivative at 0 to be finite.
+        min(sqrt(2 a_y |e|), (slew e^2)^(1/3))/v
+
+    The first from e = R (1 - cos(angle)) with R = v^2/a_y and a small angle. The second of a car whose a_y changes no
+    faster than slew [m/s^3]: to take away a speed w across the path it needs 2 sqrt(w/slew), half of it with a_y
+    growing, and gets w sqrt(w/slew) nearer; None: no bound. 1 cm is added to |e| for the derivative at 0 to be finite.
     """
-    return m.sqrt(2.0 * a_y * (m.absolute(e) + 0.01)) / m.maximum(v, SLOWEST)
+    off = m.absolute(e) + 0.01
+    across = m.sqrt(2.0 * a_y * off)
+    if slew is not None:
+        across = m.minimum(across, (slew * off * off) ** (1.0 / 3.0))
+    return across / m.maximum(v, SLOWEST)
 
 
 def limited(law: Any, command: Scalar, before: Scalar, v: Scalar, needed: Scalar) -> Scalar:

@@ -36,8 +36,9 @@ class Stanley(LimitedLaw):
 
     What is not in the paper: the root in r_path, for with the front axle on the path the rear one runs a tighter circle
     (1.03 at 12 m radius, 1.12 at 6 m); and limits, so that the law can catch a car from 3 m and 45 degrees off. sat_a
-    keeps the approach angle within approach_limit and within that from which half of the lateral acceleration to spare
-    still turns the car onto the path, sqrt(a_spare*|e|)/v. sat keeps the wheel, and how fast it turns, within
+    keeps the approach angle within approach_limit and within that from which half of the lateral acceleration to spare,
+    and half of the slew, still turn the car onto the path (`limits.approach_angle`): with a steeper one, a car whose
+    steering is slow swings further each time. sat keeps the wheel, and how fast it turns, within
     max(a_y_max, v*|r_path| + a_y_reserve) (see `limits`), +-limit and rate_limit. `textbook` has none of all this.
 
     Inputs (all at the **front axle**: a tracker with reference = l_f): e [m], psi_e [rad], kappa [1/m]; v [m/s],
@@ -103,7 +104,8 @@ class Stanley(LimitedLaw):
         r_path = v * u.kappa / m.sqrt(m.maximum(1.0 - bent * bent, 0.1))
         psi_ss = self.mass * v * r_path * (self.l_r / self.wheelbase) / self.c_f
         spare = possible(self, m.maximum(self.a_y_max - v * m.absolute(r_path), self.a_y_reserve))
-        steepest = m.minimum(approach_angle(u.e, v, 0.5 * spare), self.approach_limit)
+        slew = None if self.slew is None else 0.5 * self.slew
+        steepest = m.minimum(approach_angle(u.e, v, 0.5 * spare, slew), self.approach_limit)
         slower = 1.0 if self.v_full is None else self.v_full / m.maximum(v, self.v_full)
         approach = m.clip(m.atan(self.k * slower * u.e / (self.k_soft + v)), -steepest, steepest)
         damping = self.k_d_yaw * (u.r - r_path) + self.k_d_steer * (u.delta_sw_meas / self.steer_ratio - x.delta_before)

@@ -30,6 +30,16 @@ def test_an_arc_of_the_approach_angle_meets_the_path(e: float, v: float, a_y: fl
     assert approach_angle(e, v, a_y) == pytest.approx(exact, rel=0.05 + 0.15 * (abs(e) + 0.01) / radius)
 
 
+@given(e=st.floats(-3.0, 3.0), v=st.floats(3.0, 30.0), slew=st.floats(0.3, 5.0))
+def test_a_turn_of_that_slew_from_the_approach_angle_meets_the_path(e: float, v: float, slew: float) -> None:
+    """The lateral acceleration grows for half of the time and falls for the other; a centimetre more."""
+    across = v * approach_angle(e, v, 1e6, slew)
+    half = math.sqrt(across / slew)
+    nearer = 2.0 * across * half - slew * half**3 * (1.0 / 6.0 + 0.5 + 0.5 - 1.0 / 6.0)
+    assert nearer == pytest.approx(abs(e) + 0.01)
+    assert approach_angle(e, v, 1.0, slew) == min(approach_angle(e, v, 1.0), approach_angle(e, v, 1e6, slew))
+
+
 angles, speeds = st.floats(-9.0, 9.0), st.floats(0.0, 15.0)
 
 

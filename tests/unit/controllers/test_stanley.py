@@ -115,3 +115,5 @@ def test_far_off_it_approaches_only_as_steeply_as_it_can_turn_back() -> None:
     assert steered(stanley, e=0.1, v=9.0, psi_e=-math.atan(2.5 * 0.1 / 10.0)) == pytest.approx(0.0, abs=1e-12)
     reserve = -math.sqrt(1.5 * 2.01) / 9.0  # the bend takes 1.62 of the 3 m/s^2; 1.5 stay reserved
     assert steered(stanley, e=2.0, v=9.0, psi_e=reserve, kappa=0.02) == pytest.approx(0.0, abs=1e-12)
+    slow = -((0.5 * 0.6 * 2.01**2) ** (1.0 / 3.0)) / 9.0  # and half of its slew
+    assert steered(replace(stanley, slew=0.6), e=2.0, v=9.0, psi_e=slow) == pytest.approx(0.0, abs=1e-12)
