@@ -30,7 +30,7 @@ from steerkit.learning import costs
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learner_state import Before, Counts, Episode, Recovery
-from steerkit.learning.nfq.iterate import FitSetting, Learned
+from steerkit.learning.nfq.iterate import NOTHING, FitSetting, Learned
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario import Scenario, of_table
@@ -238,14 +238,14 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     learner_state.policy = NfqPolicy.load(_existing(steering_file(place, number)))
     learner_state.trusted = data["trusted"]
     run.steer()
-    pending, updates = None, learner_state.counts.updates
-    if data["pending"] is not None:
+    learned, updates = NOTHING, learner_state.counts.updates
+    if updates:
         newest = NfqPolicy.load(_existing(net_file(place, updates)))
-        pending = (data["pending"], updates, Learned(newest.nets or (), newest.forecast))
+        learned = Learned(newest.nets or (), newest.forecast)
     run.trainer = learner_state.trainer = SimulatedTrainer(
         seconds=run.experiment.setting.fit_seconds,
-        nets=(learner_state.policy.nets or ()) if updates else (),
-        pending=pending,
+        learned=learned,
+        pending=None if data["pending"] is None else (data["pending"], updates, learned),
     )
     if data["before"] is not None:  # of the last sample that was driven
         kept = data["before"]

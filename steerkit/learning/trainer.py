@@ -20,7 +20,7 @@ from typing import NamedTuple, Self
 from steerkit._support.errors import require, require_within
 from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.iterate import Learned, Nets, Problem, update
+from steerkit.learning.nfq.iterate import NOTHING, Learned, Nets, Problem, update
 
 Pending = tuple[float, int, Learned]
 """Driving time at which an unfinished job is done [s], its number, what it gives the policy."""
@@ -67,14 +67,14 @@ class Result(NamedTuple):
 class SimulatedTrainer:
     """Trains in `submit`, and hands the nets out when the training would have been done on a car.
 
-    seconds: driving time charged for one update [s]. A job begins when the one before it is done. nets: what the first
-    job starts from. pending: a checkpoint's unfinished job, to go on with. An error in training is raised by
+    seconds: driving time charged for one update [s]. A job begins when the one before it is done. learned: what the
+    first job starts from. pending: a checkpoint's unfinished job, to go on with. An error in training is raised by
     `submit`.
     """
 
-    def __init__(self, *, seconds: float = 1.0, nets: Nets = (), pending: Pending | None = None):
+    def __init__(self, *, seconds: float = 1.0, learned: Learned = NOTHING, pending: Pending | None = None):
         require_within("SimulatedTrainer", "seconds", seconds, "s", 0.0, 1e9)
-        self.seconds, self.learned = seconds, pending[2] if pending else Learned(nets)
+        self.seconds, self.learned = seconds, pending[2] if pending else learned
         self.pending = pending
         """The unfinished job, for a checkpoint to keep and another trainer to go on with."""
         self._newest, self._spent = pending[1] if pending else 0, 0.0
@@ -111,16 +111,17 @@ class Trainer:
 
     When the process dies (out of memory, kill -9) or is silent for PATIENCE, it is started again with the same job; the
     result's `fault`, `faults` and the log `steerkit.learning.trainer` tell. After ATTEMPTS deaths over one job, or an
-    error in training, the result has no nets; the next job is taken up as usual. nets: what the first job starts from.
+    error in training, the result has no nets; the next job is taken up as usual. learned: what the first job starts
+    from.
 
     The process imports the main module, as multiprocessing's spawn does: a script needs `if __name__ == "__main__":`.
     Close it, or use it in a `with`; the process ends with its parent too.
     """
 
-    def __init__(self, *, nets: Nets = ()):
+    def __init__(self, *, learned: Learned = NOTHING):
         self.faults: list[str] = []
         """All that went wrong so far."""
-        self._learned, self._jobs = Learned(nets), deque[Job]()
+        self._learned, self._jobs = learned, deque[Job]()
         self._newest, self._spent = 0, 0.0
         self._told: list[str] = []  # the faults over the job that is due
         self._closed = False

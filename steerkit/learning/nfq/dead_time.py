@@ -65,7 +65,9 @@ torque leaves unexplained can look like one. With 30, a real one of 2 degrees is
 TRUST = 0.25
 """Share of what is seen in the filtered w and r_e (see `DelayCompensator`) ..."""
 TRUST_COURSE = 0.1
-"""... and, of a fast car, in e and c where they are noise (see `trust_in_course`)."""
+"""... and, of a fast car, in e and c where they are noise (see `trust_in_course`) ..."""
+TRUST_WANDERING = 0.3
+"""... and where the car wanders."""
 TAKEN_BACK = 0.05
 """Correlation of what a model did not foresee of c with that of the sample before: noise if it is below that, negative
 ..."""
@@ -101,11 +103,15 @@ class Process(NamedTuple):
     forecast: DelayCompensator
 
 
-def process_of(record: Transitions, description: StateDescription, longest: float) -> Process:
+def process_of(
+    record: Transitions, description: StateDescription, longest: float, before: DelayCompensator | None = None
+) -> Process:
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
-    Of a car that has changed, what was recorded before that is left out (`since_change`, `since_other_gain`).
+    before: what was found before; of a fast car it stays while it explains as well, so that nets which follow on each
+    other are of one car. Of a car that has changed, what was recorded before that is left out (`since_change`,
+    `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
@@ -114,13 +120,13 @@ def process_of(record: Transitions, description: StateDescription, longest: floa
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
         record = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
-        best = dead_time_of(record, most, description.scaled_from)
+        best = dead_time_of(record, most, description.scaled_from, 0 if before is None else before.samples)
         part = aligned(record, best)
         model = refined(CarModel.fit(part, description, fast=fast), part)
     else:
         best, part, model = _of_others(record, description, most, fast)
     if fast:
-        model = overshooting(model, part, description)
+        model = overshooting(model, part, description, before)
     numbers = {name: getattr(model, name) for name in (*ANSWER, *FELT, "straight")}
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
@@ -152,9 +158,9 @@ def _of_others(
 
 
 def trust_in_course(model: CarModel, record: Transitions) -> float:
-    """Share of the measured e and c in a forecast's: TRUST_COURSE where c is noisy, 1 where the model is what is wrong.
+    """Share of the measured e and c in a forecast's: TRUST_COURSE where c is noisy, more where the model is what is wrong.
 
-    The noise of a measurement is taken back a sample later, so that what comes otherwise than foreseen, y, has
+    1 of too few rows. The noise of a measurement is taken back a sample later, so that what comes otherwise than foreseen, y, has
 
         rho = E[y(k) y(k - 1)]/E[y^2] = -1/2,   0 or more where it is the car's doing (wind, wear in the steering),
 
@@ -166,7 +172,7 @@ def trust_in_course(model: CarModel, record: Transitions) -> float:
     if len(row) < REFINED:
         return 1.0
     rho = float(np.mean(y[row] * y[row - 1]) / max(float(np.mean(y * y)), 1e-30))
-    return TRUST_COURSE if rho < -TAKEN_BACK - CERTAIN / np.sqrt(len(row)) else 1.0
+    return TRUST_COURSE if rho < -TAKEN_BACK - CERTAIN / np.sqrt(len(row)) else TRUST_WANDERING
 
 
 def since_change(record: Transitions, longest: int) -> Transitions:
@@ -235,17 +241,20 @@ def _left(squares: Array) -> Array:
     return 1.0 / np.linalg.inv(some)[..., -1, -1]
 
 
-def dead_time_of(record: Transitions, longest: int, scaled_from: float = np.inf) -> int:
+def dead_time_of(record: Transitions, longest: int, scaled_from: float = np.inf, before: int = 0) -> int:
     """The dead time [samples], 0 to `longest`, that explains w, the course's angle to the car, best; 0 of too few rows.
 
     The longest of those that are as good as the best, by AS_GOOD and NOTHING. scaled_from: speed above which a record's
-    car is fast, and `fast` in `unexplained` [m/s].
+    car is fast, and `fast` in `unexplained` [m/s]. before: what was found before [samples]; where that is longer, a
+    fast car's stays until it is twice as much worse.
     """
     share = min(1.0, scaled_from / float(speed(record.s).max(initial=1.0)))
     errors, nothing = unexplained(record, longest, fast=share < 1.0) or [0.0], NOTHING * share * share
     best = int(np.argmin(errors))
     while best + 1 < len(errors) and errors[best + 1] <= AS_GOOD * min(errors) + nothing:
         best += 1
+    if share < 1.0 and best < before < len(errors) and errors[before] <= AS_GOOD**2 * min(errors) + nothing:
+        return before
     return best
 
 
@@ -361,8 +370,12 @@ def refined(model: CarModel, part: Transitions) -> CarModel:
     return other if right else model
 
 
-def overshooting(model: CarModel, part: Transitions, description: StateDescription) -> CarModel:
+def overshooting(
+    model: CarModel, part: Transitions, description: StateDescription, before: DelayCompensator | None = None
+) -> CarModel:
     """The model with the overshoot and the slew that foresee w best; itself, where they are not BETTER.
+
+    before: what was found before, which stays unless others are BETTER.
 
     Slew and overshoot are looked for together among a few values, then the overshoot's time. Each is judged by what
     least squares leave unexplained of v^2 w over AHEAD samples, on what its car feels of the wheel:
@@ -381,6 +394,11 @@ def overshooting(model: CarModel, part: Transitions, description: StateDescripti
     for changes in (both, [dict(fade=fade) for fade in FADES]):
         cars = [found | change for change in changes]
         found = cars[int(_left_by(cars, newest, row - first).argmin())]
+    kept = before is not None and (before.lead != 0.0 or before.slew < UNLIMITED)
+    if kept:
+        shape = {name: float(getattr(before, name)) for name in FELT}
+        now, then = _left_by([found, shape], newest, row - first)
+        found = found if now < BETTER * then else shape
     if found["lead"] == 0.0 and found["slew"] == UNLIMITED:
         return model
     other = replace(model, **found)
@@ -389,7 +407,7 @@ def overshooting(model: CarModel, part: Transitions, description: StateDescripti
     s[:, DOE], s_next[:, DOE] = felt.now, other.after(part.s, part.s_next[:, DOE], felt).now
     angles = Transitions(part.names, s, part.a, s_next, part.episode, part.own)
     fitted = refined(CarModel.fit(angles, description, fast=True), angles)
-    if not strays_of(fitted, angles) < BETTER * strays_of(model, part):
+    if not strays_of(fitted, angles) < (1.0 if kept else BETTER) * strays_of(model, part):
         return model
     return replace(fitted, held=model.held, pushed=model.pushed, **found)
 

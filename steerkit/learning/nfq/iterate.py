@@ -388,10 +388,14 @@ class Learned(NamedTuple):
     """Of a setting with `dead_time`."""
 
 
+NOTHING = Learned()
+"""Before the first update."""
+
+
 def update(transitions: Transitions, problem: Problem, before: Learned, seed: int = 0) -> Learned:
     """One update: `iterate`, and before it the search for the dead time, where the fit has it; see there."""
     if not problem.fit.dead_time:
         return Learned(iterate(transitions, problem, before.nets, seed))
-    process = process_of(transitions, problem.description, problem.fit.dead_time)
+    process = process_of(transitions, problem.description, problem.fit.dead_time, before.forecast)
     nets = iterate(process.record, problem, before.nets, seed, model=process.model)
     return Learned(nets, process.forecast)
