@@ -158,9 +158,10 @@ def _of_others(
 
 
 def trust_in_course(model: CarModel, record: Transitions) -> float:
-    """Share of the measured e and c in a forecast's: TRUST_COURSE where c is noisy, more where the model is what is wrong.
+    """Share of the measured e and c in a forecast's: TRUST_COURSE where c is noisy, more where the car wanders.
 
-    1 of too few rows. The noise of a measurement is taken back a sample later, so that what comes otherwise than foreseen, y, has
+    1 of too few rows. The noise of a measurement is taken back a sample later, so that what comes otherwise than
+    foreseen, y, has
 
         rho = E[y(k) y(k - 1)]/E[y^2] = -1/2,   0 or more where it is the car's doing (wind, wear in the steering),
 

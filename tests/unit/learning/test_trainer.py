@@ -18,7 +18,7 @@ import pytest
 from steerkit.learning.costs import BandCost, Costs, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.iterate import FitSetting, Problem
+from steerkit.learning.nfq.iterate import FitSetting, Learned, Problem
 from steerkit.learning.trainer import Job, Nets, SimulatedTrainer, Trainer
 from tests.support import programs
 from tests.support.programs import alive
@@ -141,7 +141,8 @@ def test_simulated_nets_are_ready_when_the_charged_time_has_passed() -> None:
     trainer = SimulatedTrainer(seconds=1.5)
     trainer.submit(job(1), 10.0)
     assert trainer.poll(11.45) is None
-    assert trainer.poll(30 * 0.05 + 10.0) is not None
+    first = trainer.poll(30 * 0.05 + 10.0)
+    assert first is not None
     trainer.submit(job(2), 20.0)
     trainer.submit(job(3), 20.5)  # begins at 21.5, when 2 is done
     assert trainer.poll(22.95) is None
@@ -154,6 +155,9 @@ def test_simulated_nets_are_ready_when_the_charged_time_has_passed() -> None:
     assert resumed.poll(51.5) is not None
     with pytest.raises(ValueError, match="job number 5"):
         resumed.submit(job(5), 52.0)
+    again = SimulatedTrainer(learned=Learned(first.nets or (), first.forecast))
+    again.submit(job(2), 60.0)
+    assert same(again.learned.nets, expected(2, first.nets))
 
 
 def test_simulated_errors_are_raised_where_they_are_made() -> None:

@@ -6,12 +6,14 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from steerkit.controllers.delay_compensator import FELT, LENGTH, UNLIMITED
+from steerkit.controllers.delay_compensator import FELT, LENGTH, UNLIMITED, DelayCompensator
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, V
 from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq import dead_time
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.dead_time import (
     TRUST_COURSE,
+    TRUST_WANDERING,
     aligned,
     dead_time_of,
     process_of,
@@ -147,8 +149,8 @@ def test_a_course_is_filtered_where_its_noise_is_that_of_the_sensor() -> None:
         return process_of(record, DESCRIPTION, 0.6).forecast.trust_course
 
     assert trust(calmly_steered(3)) == TRUST_COURSE
-    assert trust(calmly_steered(3, wanders=2e-4)) == 1.0, "what the car does is not noise"
-    assert trust(late(3, car=FAST, speeds=(12.0, 24.0), n=60)) == 1.0, "too few rows to say"
+    assert trust(calmly_steered(3, wanders=2e-4)) == TRUST_WANDERING, "what the car does is not noise"
+    assert trust(late(3, car=FAST, speeds=(12.0, 24.0), n=60).part(slice(0, 30))) == 1.0, "too few rows to say"
     assert trust(late(3, noise=0.01)) == 1.0, "a slow car's is as it was"
 
 
@@ -268,6 +270,31 @@ def test_steering_that_overshoots_and_is_slow_is_found_and_none_where_there_is_n
     for noise in (0.0, 0.01):
         plain = process_of(late(4, car=FAST, speeds=speeds, action=0.3, n=1200, noise=noise), DESCRIPTION, 0.6).model
         assert (plain.lead, plain.slew, plain.feels) == (0.0, UNLIMITED, False)
+
+
+def test_an_overshoot_found_before_stays_unless_another_is_better() -> None:
+    speeds, none = (9.0, 14.0), (0.0, UNLIMITED, UNLIMITED)
+    torque, alike = dict(lead=1.2, most=6.0, slew=8.0), dict(lead=1.2, most=6.0, slew=8.5)
+    other = dict(lead=0.3, most=12.0, slew=2.0)
+
+    def found(noise: float, before: dict[str, float] | None, **car: float) -> tuple[float, ...]:
+        record = late(4, car=replace(FAST, **car), speeds=speeds, action=0.3, n=1200, noise=noise)
+        forecast = None if before is None else DelayCompensator(samples=4, fade=0.07, **before)
+        model = process_of(record, DESCRIPTION, 0.6, forecast).model
+        return model.lead, model.most, model.slew
+
+    assert found(0.003, alike, fade=0.07, **torque) == tuple(alike.values())
+    assert found(0.003, other, fade=0.07, **torque) == found(0.003, None, fade=0.07, **torque) == (0.6, 6.0, 8.0)
+    assert found(0.01, None, fade=0.07, **torque) == none
+    assert found(0.01, alike, fade=0.07, **torque) == tuple(alike.values()), "as little noise hides it, it is not lost"
+    assert found(0.003, alike) == none
+
+
+def test_a_fast_cars_dead_time_of_before_stays_until_it_is_twice_as_much_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dead_time, "unexplained", lambda *_, **__: [9.0, 5.0, 1.0, 1.03, 1.05, 3.0])
+    record = late(2, car=FAST, speeds=(12.0, 24.0), n=60)
+    assert [dead_time_of(record, 5, 8.0, before) for before in range(7)] == [2, 2, 2, 3, 2, 2, 2]
+    assert dead_time_of(record, 5, before=3) == 2, "a slow car's is found anew"
 
 
 @pytest.mark.parametrize(
