@@ -64,7 +64,7 @@ def approach_angle(e: Scalar, v: Scalar, a_y: Scalar, slew: Scalar | None = None
     off = m.absolute(e) + 0.01
     across = m.sqrt(2.0 * a_y * off)
     if slew is not None:
-        across = m.minimum(across, (slew * off * off) ** (1.0 / 3.0))
+        across = m.minimum(across, m.exp(m.log(slew * off * off) / 3.0))
     return across / m.maximum(v, SLOWEST)
 
 

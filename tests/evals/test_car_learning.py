@@ -79,8 +79,8 @@ def test_the_loop_is_told_what_the_gate_let_through() -> None:
 class Beside(SimulatedTrainer):
     """A trainer whose time is the world's."""
 
-    def __init__(self, world: World, nets: Any):
-        super().__init__(seconds=0.4, nets=nets)
+    def __init__(self, world: World, learned: Any):
+        super().__init__(seconds=0.4, learned=learned)
         self.world, self.faults = world, ()
 
     def submit(self, job: Job, t: float) -> None:
@@ -108,7 +108,7 @@ def learned(
     metadata = {f"file:{name}": text for name, text in config.texts.items()}
     recorder = recordings.Recording(folder / "drive.mcap", metadata)
     world = World(s=20.0, recorder=recorder)
-    monkeypatch.setattr(on_car, "Trainer", lambda nets: Beside(world, nets))
+    monkeypatch.setattr(on_car, "Trainer", lambda learned: Beside(world, learned))
     with learner_of(world, folder / "run", how, **options) as learner:
         learner.remark()  # as `run` does
         world.run = realtime.Run(learner._idle, learner._idle.init(), realtime.Timing(period=0.05))
