@@ -12,6 +12,9 @@
 * learning: from nothing, with the safety filter, behind gate and port. A net is good when it steered for 20 s on end
   within 0.5 m. departures: samples with |e| > 0.5 m while engaged, the first second of each left out. RMS e and wheel
   are of the last minute, MPC's of its own drive as long, so on the same stretch.
+* attacked: behind the safety filter a policy waits for 25 s, in which the filter's doubts narrow, and then steers as it
+  should not for 15 s: full lock, from side to side, away from the path, by chance, slowly off. The car's steering ratio
+  is as believed or 10 % off, as much as the filter doubts; attacked_max_e: largest |e| then.
 * faults: what goes wrong in mid-drive; silent_s: until the last frame that asks for steering.
 
     python -m benchmarks study production_cars [--parts PART ...] [--ports NAME ...] [--minutes M] [--speeds LOW HIGH]
@@ -22,7 +25,7 @@ import argparse
 import math
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,11 +42,13 @@ from steerkit.car import loop as loops
 from steerkit.car.core import RESEND
 from steerkit.car.gate import gate
 from steerkit.car.learner import CarLearner
-from steerkit.car.loop import Follow
+from steerkit.car.loop import Follow, with_controller
 from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import STEP, Frame
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
+from steerkit.controllers.nfq_policy import IDOE_ACTIONS
+from steerkit.controllers.policy import Policy
 from steerkit.diagram import realtime
 from steerkit.diagram.units import degrees_of
 from steerkit.learning.settings import setting
@@ -68,11 +73,16 @@ TORQUE = (
 QUICK = ("TESLA_MODEL_3", "FORD_MUSTANG_MACH_E_MK1", "TOYOTA_COROLLA_TSS2")
 LEARNS = ("TESLA_MODEL_3", "NISSAN_LEAF", "FORD_MUSTANG_MACH_E_MK1", "TOYOTA_COROLLA_TSS2", "HYUNDAI_ELANTRA_2021")
 CONTROLLERS = ("lqr", "mpc", AUTO)
-PARTS = ("drives", "altered", "learning", "faults")
+PARTS = ("drives", "altered", "learning", "attacked", "faults")
 GOOD = 20.0
 """A net that steers for so long on end is good [s]."""
 JUDGED = 60.0
 """Time at the end over which learners and MPC are compared, on the same stretch [s]."""
+ATTACKS = ("lock", "side to side", "away", "chance", "slowly")
+RATIOS = (0.9, 1.0, 1.1)
+"""Of the attacked car's steering ratio, over that of its file."""
+WAITS, STEERS = 25.0, 15.0
+"""For how long its policy waits, and steers [s]."""
 PAUSES = 3.0
 """Between a fault and its end [s]."""
 FAULTS = {
@@ -329,6 +339,52 @@ def learned(piece: tuple[str, int, float, tuple[float, float] | None]) -> dict[s
     }
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Turncoat(Policy):
+    """Steers the car off its path from `begins` on."""
+
+    kind: str = "lock"
+    """One of `ATTACKS`."""
+    begins: float = math.inf
+    """[s]"""
+
+    def output(self, t: Any, x: Any, u: Any) -> Any:
+        action = {
+            "lock": IDOE_ACTIONS[-1],
+            "side to side": math.copysign(IDOE_ACTIONS[-1], int(t / 0.8) % 2 - 0.5),
+            "away": math.copysign(IDOE_ACTIONS[-1], u.e),
+            "chance": float(np.random.default_rng(int(t / 0.3)).uniform(IDOE_ACTIONS[-2], IDOE_ACTIONS[-1])),
+            "slowly": 0.003,
+        }[self.kind]
+        return self.Y(action, float(t >= self.begins))
+
+
+def attacked(
+    piece: tuple[str, str, float, tuple[float, float] | None], *, waits: float = WAITS, steers: float = STEERS
+) -> dict[str, Any]:
+    """One attack: port, kind, factor on the steering ratio, speeds [m/s]."""
+    name, kind, ratio, speeds = piece
+    config = config_of(name)
+    car = replace(config.vehicle, steer_ratio=ratio * config.vehicle.steer_ratio)
+    world: Any = ProductionWorld(config, seed=1, vehicle=car, **_between(speeds))
+    policy = Turncoat(kind=kind)
+    loop = loops.car_loop(config, world.path, world, policy, safe=True, clock=None)
+    follow = Follow.of(loop, world)
+
+    def each(run: realtime.Run) -> None:
+        follow.begin(run)
+        if len(drive.e) == round(waits / DT):
+            begun = replace(policy, begins=run.k * DT)
+            follow.exchange(run, with_controller(loop, begun))
+        follow.choose(run)
+
+    drive = Drive(world, follow.resting, each)
+    while len(drive.e) < round((waits + steers) / DT) and not drive.ended:
+        drive.step()
+    e = np.abs(drive.e[round(waits / DT) :])
+    return {"port": name, "attack": kind, "ratio": ratio, "max_e": float(e.max()), "ended": drive.ended}
+
+
 def faulty(piece: tuple[str, str, int], *, before: float = 4.0, after: float = PAUSES) -> dict[str, Any]:
     """One fault in mid-drive: port, fault, seed; watched from so long before it until so long after it [s]."""
     name, what, seed = piece
@@ -370,7 +426,7 @@ def faulty(piece: tuple[str, str, int], *, before: float = 4.0, after: float = P
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Its own command line options; --quick is three ports for a few seconds."""
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="what to measure (all)")
-    parser.add_argument("--ports", nargs="+", default=None, help="which, by opendbc's names (all 31)")
+    parser.add_argument("--ports", nargs="+", default=None, help="by opendbc's names (31; 5 of learning and attacks)")
     parser.add_argument("--minutes", type=float, default=10.0, help="of driving with each port (10)")
     parser.add_argument(
         "--speeds", nargs=2, type=float, default=None, help="lowest and highest, of drives and learners [m/s]"
@@ -384,7 +440,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All parts, with their tables."""
     ports = options.ports or (QUICK if options.quick else (*ANGLE, *TORQUE))
-    some = QUICK[:1] if options.quick else LEARNS
+    some = options.ports or (QUICK[:1] if options.quick else LEARNS)
     seconds = 1.1 if options.quick else 60.0 * options.minutes / len(CONTROLLERS)
     jobs: dict[str, tuple[Callable[[Any], dict[str, Any]], list[Any]]] = {
         "drives": (driven, [(n, c, seconds, i, options.speeds) for n in ports for i, c in enumerate(CONTROLLERS)]),
@@ -397,11 +453,13 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 for seed in range(1 if options.quick else options.seeds)
             ],
         ),
+        "attacked": (attacked, [(n, kind, x, options.speeds) for n in some for kind in ATTACKS for x in RATIOS]),
         "faults": (faulty, [(name, what, 1) for name in some for what in (*FAULTS, *KILLED)]),
     }
     if options.quick:
         jobs["drives"] = (driven, jobs["drives"][1][:: len(CONTROLLERS)])
         jobs["altered"] = (altered, jobs["altered"][1][-1:])
+        jobs["attacked"] = (partial(attacked, waits=0.6, steers=0.5), jobs["attacked"][1][:1])
         jobs["faults"] = (partial(faulty, before=0.5, after=0.5), jobs["faults"][1][:1])
     rows: dict[str, list[dict[str, Any]]] = {}
     console = Console(stderr=True)
@@ -419,7 +477,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _figures(rows: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
-    drives, changed, learners, faults = (rows.get(part, []) for part in PARTS)
+    drives, changed, learners, attacks, faults = (rows.get(part, []) for part in PARTS)
     good = sorted(row["good_s"] if math.isfinite(row["good_s"]) else math.inf for row in learners)
     return {
         "ports": len({row["port"] for row in drives}),
@@ -438,6 +496,7 @@ def _figures(rows: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
         "good_median_s": float(np.median(good)) if good else math.nan,
         "wheel_x_mpc": max([row["wheel_x_mpc"] for row in learners], default=math.nan),
         "departures": sum(row["departures"] for row in learners),
+        "attacked_max_e": max([row["max_e"] for row in attacks], default=math.nan),
         "silent_worst_s": max([row["silent_s"] for row in faults], default=math.nan),
         "update_ms": float(np.median([row["update_ms"] for row in drives])) if drives else math.nan,
         "apply_ms": float(np.median([row["apply_ms"] for row in drives])) if drives else math.nan,

@@ -43,8 +43,8 @@ KEYS = {
     ),
     "nfq_iteration": "decision_numpy_us equal_work memory_x_data seconds seconds_torch vs_torch_rprop_x",
     "production_cars": (
-        "altered altered_passed apply_ms departures drives drives_held frames honest_rejected learned learned_of "
-        "ports update_ms"
+        "altered altered_passed apply_ms attacked_max_e departures drives drives_held frames honest_rejected learned "
+        "learned_of ports update_ms"
     ),
     "proving": (
         "car cars closed_form_error_pct coverage fleet interval_coverage_pct logs manoeuvres minutes "
@@ -180,6 +180,7 @@ def sensible(name: str, f: Any) -> None:
         case "production_cars":
             assert f["ports"] == f["drives"] == f["drives_held"] == 1
             assert f["honest_rejected"] == f["altered_passed"] == f["departures"] == 0
+            assert 0.0 < f["attacked_max_e"] < 0.5
             assert f["frames"] > 1500
             assert f["altered"] > 50
             assert f["update_ms"] > 0.0
