@@ -32,8 +32,7 @@ SLOWEST = 3.0
 WARNING = 5.0
 """How long before its end the operator is warned [s]."""
 _ABOUT = {"sine": "the wheel swings slowly", "steps": "it steps to and fro", "bends": "the course alone moves it"}
-DATA_SHEET = "data sheet"
-"""Source of what no drive has found."""
+_DATA_SHEET = "data sheet"  # Source of what no drive has found
 NAMED = "-calibrated"
 """End of the name of a car that was calibrated."""
 
@@ -169,7 +168,7 @@ class Calibrated:
                 q, source = known[name]
                 rows[name] = {"value": q.value, "low": q.low, "high": q.high, "unit": unit, "source": source}
             elif name in sheet:
-                rows[name] = {"value": sheet[name], "unit": unit, "source": DATA_SHEET}
+                rows[name] = {"value": sheet[name], "unit": unit, "source": _DATA_SHEET}
         unknown = [name for name in ESTIMATES if name not in known]
         notes = [f"{', '.join(unknown)}: not found by this drive"] if unknown else []
         provenance = {

@@ -196,8 +196,7 @@ WRITTEN = {
     "crc": re.compile(r".*(CRC|CHECKSUM).*", re.I),
 }
 """The same of the signals that we write, by their part in the command."""
-MEANING = re.compile(r"TYPE|MODE", re.I)
-"""Signals of a command that say what it means: an angle, or perhaps a torque."""
+_MEANING = re.compile(r"TYPE|MODE", re.I)  # Signals of a command that say what it means: an angle, or perhaps a torque
 SMALLEST, LARGEST = 1e-12, 1e9
 _PLAUSIBLE = f"scales from {SMALLEST:g} to {LARGEST:g}, offsets up to {LARGEST:g}"
 STEPS = 20
@@ -315,7 +314,7 @@ def _command(config: CarConfig) -> Iterator[str]:
             yield f"[write.fixed] {name} is written by [write] already"
         elif value and DANGEROUS.search(name):
             yield f"[write.fixed] {name} = {value}, expected 0: it switches a protection of the kit off"
-        elif value and MEANING.search(name):
+        elif value and _MEANING.search(name):
             choices = writer.message.get_signal_by_name(name).choices or {}
             if not re.search(r"angle|position", str(choices.get(value, "")), re.I):
                 yield f"[write.fixed] {name} = {value}, expected 0, or a value that the DBC (VAL_) names an angle"

@@ -26,7 +26,6 @@ from steerkit.diagram import maths as m
 from steerkit.diagram import realtime
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
-from steerkit.diagram.maths import Scalar
 from steerkit.diagram.realtime import Run
 from steerkit.doe import Integrator, OutputElement
 from steerkit.learning import rundir
@@ -39,8 +38,7 @@ from steerkit.scenario.assembly import controller_of, steering_loop, with_contro
 from steerkit.task import TRIP
 from steerkit.vehicles.rollout import GateModel, beside, yaw_gain
 
-_STEP = 0.05
-"""Time between two points of the roll-out [s]."""
+_STEP = 0.05  # Time between two points of the roll-out [s]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -86,7 +84,7 @@ class ExcursionPredictor(Block):
         reach = m.maximum(left, right)
         return self.Y(m.maximum(self.weight * reach, m.absolute(u.e)), reach)
 
-    def _reach(self, u: Any, side: float) -> Scalar:
+    def _reach(self, u: Any, side: float) -> m.Scalar:
         """The furthest that the car gets to the left (side = 1) or right (-1) while it is steered the other way [m]."""
         limits = self.gate.limits
         ratio, length, gain = limits.steer_ratio, limits.wheelbase, yaw_gain(u.v, limits.wheelbase, limits.understeer)

@@ -20,16 +20,13 @@ LOOK = 0.1
 """Time between two looks at what does not jump [s]."""
 READ_LATE = 0.06
 """How late a busy computer may read a frame [s]; the process that reads watches that of its own."""
-_USUAL = 0.02
-"""Time between two poses [s]: so far the car may drive before the next comes."""
+_USUAL = 0.02  # Time between two poses [s]: so far the car may drive before the next comes
 ASTRAY = 0.5
 """How far off the path counts as astray [m]."""
 _NOISES, _DEVIATIONS = 4.0, 2.5
 """So many deviations of a sample's noise, and of all that is not known of the car, may add up."""
-_LONG = 600.0
-"""Over so long what was learned of a car is forgotten [s]."""
-_MOST = 3.0
-"""Deviations of the data sheet's, beyond which nothing is learned but the pose is wrong."""
+_LONG = 600.0  # Over so long what was learned of a car is forgotten [s]
+_MOST = 3.0  # Deviations of the data sheet's, beyond which nothing is learned but the pose is wrong
 _DRIFT = (0.005, 0.005, radians_of(0.06))
 """By how much position, and heading against gyro, wander [m/sqrt(s), rad/sqrt(s)]."""
 _TURN_SHARE = radians_of(0.3)

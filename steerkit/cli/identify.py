@@ -26,8 +26,7 @@ from steerkit.plots.style import save
 from steerkit.vehicles import scaled, vehicle
 from steerkit.vehicles import vehicle as vehicle_named
 
-_FITS = ("rms", "rms_driving", "mean_driving", "rms_rezeroed", "zero_shift")
-"""Numbers of a prediction."""
+_FITS = ("rms", "rms_driving", "mean_driving", "rms_rezeroed", "zero_shift")  # Numbers of a prediction
 
 
 def identify(

@@ -23,8 +23,7 @@ from steerkit.plots.style import save
 from steerkit.vehicles import VEHICLES, FleetCar, Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
 
-ALSO: dict[str, str] = WORDS["courses"]
-"""What else can be named, and what it is."""
+_ALSO: dict[str, str] = WORDS["courses"]  # What else can be named, and what it is
 
 
 def courses(
@@ -51,13 +50,13 @@ def courses(
         )
     rows = [_of_path(name, course(name)) for name in names()]
     if as_json:
-        print(json.dumps({"courses": rows, "also": ALSO}))
+        print(json.dumps({"courses": rows, "also": _ALSO}))
         return
     table = Table("course", "length (m)", "closed", "tightest radius (m)")
     for name, length, closed, radius in (row.values() for row in rows):
         table.add_row(name, f"{length:.0f}", "yes" if closed else "no", f"{radius:.1f}" if radius else "straight")
     Console().print(table)
-    for name, what in ALSO.items():
+    for name, what in _ALSO.items():
         print(f"{name:12s} {what}")
 
 
@@ -151,8 +150,7 @@ def vehicles(
                 "slowest_mps": member and member.slowest,
             }
         )
-    if not rows:
-        raise ValueError(f"vehicles: no name has '{having}' in it; without it all are listed")
+    require(rows, "vehicles", f"no name has '{having}' in it; without it all are listed")
     if as_json:
         print(json.dumps({"vehicles": rows}))
         return
@@ -166,8 +164,7 @@ def vehicles(
     Console(width=max(80, Console().width)).print(table)  # a narrower terminal would cut off words
 
 
-_FILES: dict[str, list[str]] = WORDS["new"]
-"""By kind: its file among the templates, and what to call with it."""
+_FILES: dict[str, list[str]] = WORDS["new"]  # By kind: its file among the templates, and what to call with it
 
 
 def new(

@@ -114,8 +114,7 @@ class NativeProgram:
         return rows[..., :cars], slots, _apart(state)[:, :cars]
 
 
-_ENOUGH = 2e6
-"""Vector instructions, about two milliseconds, from which on the start of threads is worth its time."""
+_ENOUGH = 2e6  # Vector instructions, about two milliseconds, from which on the start of threads is worth its time
 
 
 def _kept(k: int, stop: int, every: int) -> int:

@@ -8,30 +8,23 @@ from typing import Any, NamedTuple
 from steerkit._support.errors import number, require, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, State, entries_of, require_ports, take_ports, without_port
-from steerkit.diagram.maths import Scalar
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.task import STOP
 
-_EVERY = 5.0
-"""Samples after which the estimate of the dead time is read again: its fits take longer than all the rest."""
+_EVERY = 5.0  # Samples after which the estimate of the dead time is read again: its fits take longer than all the rest
 
 
 class _Own(NamedTuple):
     """The last entries of the state."""
 
-    delay_lag: Scalar
-    """Dead time and lag as last read [s]; its deviation [s]; was it valid?"""
-    deviation: Scalar
-    valid: Scalar
-    since: Scalar
-    """Samples since then."""
-    standby: Scalar
-    """Did another controller steer?"""
-    delay: Scalar
-    """What is believed: dead time [s] ..."""
-    ratio: Scalar
-    """... and ratio over the data sheet's [1]."""
+    delay_lag: m.Scalar  # Dead time and lag as last read [s]; its deviation [s]; was it valid?
+    deviation: m.Scalar
+    valid: m.Scalar
+    since: m.Scalar  # Samples since then
+    standby: m.Scalar  # Did another controller steer?
+    delay: m.Scalar  # What is believed: dead time [s] ..
+    ratio: m.Scalar  # ... and ratio over the data sheet's [1]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -132,7 +125,7 @@ class Adaptive(Block):
         own = _Own(0.0, 0.0, 0.0, since=_EVERY, standby=0.0, delay=self.prior_delay, ratio=1.0)
         return (*inner, *[m.filled(value, batch) for value in own])
 
-    def believed(self, x: State) -> tuple[Scalar, Scalar]:
+    def believed(self, x: State) -> tuple[m.Scalar, m.Scalar]:
         """Dead time [s] and steering ratio over the data sheet's [1] that it believes in state `x`."""
         own = _own(x)
         return own.delay, own.ratio
@@ -217,13 +210,18 @@ class Adaptive(Block):
         return (*[value for state in after for value in state], *own)
 
     def _followed(
-        self, before: Scalar, value: Scalar, valid: Scalar, rates: tuple[Scalar, float], bounds: tuple[float, float]
-    ) -> Scalar:
+        self,
+        before: m.Scalar,
+        value: m.Scalar,
+        valid: m.Scalar,
+        rates: tuple[m.Scalar, float],
+        bounds: tuple[float, float],
+    ) -> m.Scalar:
         """What is believed a sample later; rates: the fastest of its fall and of its growth."""
         step = m.clip(m.clip(value, *bounds) - before, -rates[0] * self.dt, rates[1] * self.dt)
         return before + m.where(m.both(valid > 0.5, m.is_finite(value)), step, 0.0)
 
-    def _seen(self, block: Block, ports: Any, u: Any, ratio: Scalar) -> Any:
+    def _seen(self, block: Block, ports: Any, u: Any, ratio: m.Scalar) -> Any:
         """The inputs of one controller: its own preview, and the measured wheel in terms of the data sheet's ratio."""
         values = {name: getattr(u, name) for name in ports._fields}
         if "preview" in values:

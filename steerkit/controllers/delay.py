@@ -8,13 +8,11 @@ from steerkit._support.errors import number, require
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, entries_of
-from steerkit.diagram.maths import Scalar
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import Motion, Rollout
 
-_TRUST = 0.1
-"""Share of a sample in how far a slow wheel is taken to be off its model: half a second."""
+_TRUST = 0.1  # Share of a sample in how far a slow wheel is taken to be off its model: half a second
 
 
 _SHARE_OF_TORQUE = 0.3
@@ -86,12 +84,12 @@ class DelayPredictor(Block):
         return cls(block=block, model=model, preview_points=int(model.lookahead / dt + 1e-9) + 2, dt=dt)
 
     @property
-    def reference(self) -> Scalar:
+    def reference(self) -> m.Scalar:
         """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
         return self.model.reference
 
     @property
-    def rate_limit(self) -> Scalar:
+    def rate_limit(self) -> m.Scalar:
         """Fastest steering wheel [rad/s]."""
         return self.model.rate_limit
 
@@ -132,7 +130,7 @@ class DelayPredictor(Block):
             model = (self._yaw_rate_now(x, u), u.delta_sw_meas + 0.0, own, off)
         return (*inner, *[m.where(m.is_finite(value), value, 0.0) for value in model], *commands[1:])
 
-    def _yaw_rate_now(self, x: State, u: Any) -> Scalar:
+    def _yaw_rate_now(self, x: State, u: Any) -> m.Scalar:
         """r_m now; with a slew the state has that of the sample before, and the wheel of then."""
         _, n = self._inner
         if self.model.slew is None:
@@ -148,7 +146,7 @@ class DelayPredictor(Block):
         values = self.predict(self._yaw_rate_now(x, u), commands, u)
         return ports(**{name: values[name] for name in ports._fields})
 
-    def predict(self, r_model: Scalar, commands: State, u: Any) -> dict[str, Scalar]:
+    def predict(self, r_model: m.Scalar, commands: State, u: Any) -> dict[str, m.Scalar]:
         """e, psi_e, kappa, v, r, delta_sw_meas when the next command has arrived; `commands` oldest first."""
         now = Motion(u.e, u.psi_e, u.r, u.delta_sw_meas)
         then, kappa = self.model.arrived(now, commands, u.preview, m.maximum(u.v, 0.0), u.r - r_model)

@@ -12,7 +12,6 @@ from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY, Policy, StateDescription, check_layers
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
-from steerkit.diagram.maths import Array
 from steerkit.diagram.units import radians_of
 
 BOUND = 10.0
@@ -31,7 +30,7 @@ class Network:
     Raises ValueError for layers that do not fit together or are not finite.
     """
 
-    layers: tuple[tuple[Array, Array], ...]
+    layers: tuple[tuple[m.Array, m.Array], ...]
     """W (n_out, n_in) and b (n_out,) of each layer."""
     activation: Literal["relu", "tanh"] = "relu"
     """Of the hidden layers."""
@@ -47,7 +46,7 @@ class Network:
         require(self.head == "argmax" or n == 1, where, f"{n} outputs, expected 1 for the head {self.head!r}")
         object.__setattr__(self, "layers", layers)
 
-    def __call__(self, x: Array) -> Array:
+    def __call__(self, x: m.Array) -> m.Array:
         """The actions (n,) for scaled states (n, columns)."""
         h = np.asarray(x, dtype=np.float64).T
         for i, (w, b) in enumerate(self.layers):
@@ -74,7 +73,7 @@ class Network:
         return action
 
 
-def angles_of(answer: Any, n: int, actions: Sequence[float] | None, largest: float, where: str) -> Array:
+def angles_of(answer: Any, n: int, actions: Sequence[float] | None, largest: float, where: str) -> m.Array:
     """The actions [rad] (n,) that an agent means by numbers of `actions` or, without them, by shares of `largest`.
 
     Raises ValueError, beginning with `where`, for anything else.

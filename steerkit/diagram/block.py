@@ -196,8 +196,7 @@ class Block:
             )
 
 
-_SHOWN = 8
-"""Entries of a tuple that are printed."""
+_SHOWN = 8  # Entries of a tuple that are printed
 
 
 def _brief(value: Any, *, inside: bool = False) -> str:

@@ -8,29 +8,22 @@ from typing import Any
 from steerkit._support.errors import number, require, require_within, whole_samples
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
-from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.estimators import kalman
 from steerkit.estimators.estimate import estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, arrived, steady_gain, yaw_step
 from steerkit.vehicles import G, Vehicle, require_vehicle
 
-_STANDS, _STANDING = 0.1, 1.0
-"""A car stands below this speed [m/s], after that long [s]."""
-_TOGETHER = 1.0
-"""For how long errors of the angle hang together [s]."""
-_OUTLIER = 3.0
-"""Standard deviations beyond which a sample counts for less."""
-_GAP = radians_of(1.0)
-"""Half of the free play whose loop is a number of the filter [rad]."""
+_STANDS, _STANDING = 0.1, 1.0  # A car stands below this speed [m/s], after that long [s]
+_TOGETHER = 1.0  # For how long errors of the angle hang together [s]
+_OUTLIER = 3.0  # Standard deviations beyond which a sample counts for less
+_GAP = radians_of(1.0)  # Half of the free play whose loop is a number of the filter [rad]
 _SOFT, _SATURATES = 2e-4, 7.5e-4
 """Deviations of the understeer gradient for tyres that give way in tight bends, and much sooner [rad s^2/m]."""
-_CORRELATED = 0.15
-"""For how long the errors of r hang together [s]."""
+_CORRELATED = 0.15  # For how long the errors of r hang together [s]
 _ANGLE_ERROR = radians_of(0.3)
 """Standard deviation of what free play and friction make of the angle beyond the loop of the filter's own [rad]."""
-_WINDOW = 40.0
-"""Longest time over which headings are compared [s]."""
+_WINDOW = 40.0  # Longest time over which headings are compared [s]
 _N = 6
 _OFFSET, _DISTURBANCE = 2, 4
 _WINDOWS, _FILTERS = 13, 16
@@ -173,7 +166,7 @@ class SingleTrackFilter(Block):
             (disturbance, deviations[4], 0.5 * math.sqrt(variances[4]), 0.0),
             (offset + disturbance, m.sqrt(m.maximum(kalman.covariance(p, total, total), 0.0)), radians_of(0.35), 0.0),
         )
-        flat: list[Scalar] = []
+        flat: list[m.Scalar] = []
         for value, deviation, most, untold in found:
             flat += [value, m.sqrt(deviation * deviation + untold * untold), m.where(deviation <= most, 1.0, 0.0)]
         return self.Y(*flat, x[2])
@@ -209,7 +202,7 @@ class SingleTrackFilter(Block):
         r = m.where(off > 4.0, expected, r)
         stands = m.where(m.both(moves, u.v < _STANDS), stands + dt, 0.0)
         stopped = m.both(turns, stands > _STANDING)
-        only_zero: Sequence[Scalar] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+        only_zero: Sequence[m.Scalar] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
         numbers, covariance, _ = _corrected(numbers, covariance, only_zero, r - numbers[3], variance, stopped)
         # the heading against the gyro
         whole = m.both(turns, m.is_finite(u.psi))
@@ -238,7 +231,9 @@ class SingleTrackFilter(Block):
         filters = (command, v, missing, since, w, beta, rate, stands, turned, clock, start, going, arrives)
         return (*filters, window, turning, behind, *line, *numbers, *kalman.packed(covariance))
 
-    def _expected(self, numbers: State, w: Scalar, behind: Scalar, v: Scalar) -> tuple[Scalar, tuple[Scalar, ...]]:
+    def _expected(
+        self, numbers: State, w: m.Scalar, behind: m.Scalar, v: m.Scalar
+    ) -> tuple[m.Scalar, tuple[m.Scalar, ...]]:
         """What the gyro should say [rad/s], and its derivatives with respect to the six numbers.
 
         behind: w behind the free play.
@@ -255,8 +250,13 @@ class SingleTrackFilter(Block):
 
 
 def _corrected(
-    numbers: State, p: kalman.Covariance, slopes: Sequence[Scalar], error: Scalar, variance: Scalar, applies: Scalar
-) -> tuple[State, kalman.Covariance, Scalar]:
+    numbers: State,
+    p: kalman.Covariance,
+    slopes: Sequence[m.Scalar],
+    error: m.Scalar,
+    variance: m.Scalar,
+    applies: m.Scalar,
+) -> tuple[State, kalman.Covariance, m.Scalar]:
     """Numbers and covariance after one measurement, where it `applies`; Huber's weight for one that is far off.
 
     And its squared error over that of 3 deviations.

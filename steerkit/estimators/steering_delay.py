@@ -15,16 +15,13 @@ from steerkit.estimators.estimate import estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, at, steady_gain, yaw_delay, yaw_step
 from steerkit.task import STOP
 
-_GAP = radians_of(1.0)
-"""Half of the free play whose loop is a regressor [rad]."""
+_GAP = radians_of(1.0)  # Half of the free play whose loop is a regressor [rad]
 _GAIN, _SHARE = 1.0 / 0.3**2, 1.0 / 0.5**2
 """Precisions of the gain, 1 +- 0.3, and of the share of that free play which the car has."""
-_NO_SINGLE_LAG = 0.01
-"""Deviation of delay and of lag for what is no single lag, with their sum the same [s]."""
+_NO_SINGLE_LAG = 0.01  # Deviation of delay and of lag for what is no single lag, with their sum the same [s]
 _CUBIC = 0.06
 """Deviation of the sum over how far the lag is from the prior's: the regression knows two moments of the answer."""
-_TIMING = 0.0015
-"""Deviation of all delays for what happens between samples [s]."""
+_TIMING = 0.0015  # Deviation of all delays for what happens between samples [s]
 _LEAST_GAIN = 0.3
 
 

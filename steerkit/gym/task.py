@@ -23,7 +23,6 @@ from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, Out, State
 from steerkit.diagram.loop import Loop, LoopState
-from steerkit.diagram.maths import Array, Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.doe import HeldAngle, Integrator, OutputElement
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
@@ -92,7 +91,7 @@ class Starts:
         s, e, psi_e = np.array([draw[1:] for draw in draws]).T
         return self.state(s, e, psi_e, [self._drawn(block, draws) for block in self.task.loop.blocks.values()])
 
-    def state(self, s: Scalar, e: Scalar, psi_e: Scalar, drawn: Sequence[State]) -> LoopState:
+    def state(self, s: m.Scalar, e: m.Scalar, psi_e: m.Scalar, drawn: Sequence[State]) -> LoopState:
         """The loop's state, settled, of cars e [m] left of the path at s [m], turned by psi_e [rad]: arrays or symbols.
 
         drawn: the state of each block at its start, with the random numbers of its seed.
@@ -137,7 +136,7 @@ class Starts:
         car = self.task.loop.blocks["car"]
         return car.block if isinstance(car, DisturbedPlant) else car
 
-    def _car_at(self, x: Scalar, y: Scalar, psi: Scalar, batch: tuple[int, ...]) -> Any:
+    def _car_at(self, x: m.Scalar, y: m.Scalar, psi: m.Scalar, batch: tuple[int, ...]) -> Any:
         """The car's state with its reference point at x, y [m] and this heading [rad]."""
         x, y = x - self.task.place.ahead * m.cos(psi), y - self.task.place.ahead * m.sin(psi)
         car = self._car
@@ -295,7 +294,7 @@ class Task:
         for n in (1, 3):
             self._try_cost(np.tile(self.description.mid, (n, 1)))
 
-    def _try_cost(self, s: Array) -> None:
+    def _try_cost(self, s: m.Array) -> None:
         """Raise ValueError unless the cost answers as it has to, for cars in these states (n, columns)."""
         price, n = self.price, len(s)
         where = f"TrackSteering: cost {getattr(price, '__name__', type(price).__name__)}"
@@ -424,11 +423,11 @@ class Task:
         """Box(-10, 10, (columns,)); most of what happens lies in [-1, 1]."""
         return spaces.Box(-BOUND, BOUND, (len(self.columns),), np.float32)
 
-    def angle(self, actions: Any, shape: tuple[int, ...]) -> Array:
+    def angle(self, actions: Any, shape: tuple[int, ...]) -> m.Array:
         """The actions [rad] (N,) that an agent's actions mean; raises ValueError for one outside of the space."""
         return angles_of(actions, math.prod(shape), self.angles, self.scale, "TrackSteering.step: action")
 
-    def observation(self, s: Array) -> NDArray[np.float32]:
+    def observation(self, s: m.Array) -> NDArray[np.float32]:
         """What the agent sees of states (N, columns)."""
         d = self.description
         return np.minimum(np.maximum((s - d.mid) / d.half, -BOUND), BOUND).astype(np.float32)
@@ -439,7 +438,7 @@ class Task:
         return Starts(self)
 
 
-def require_finite(signals: Sequence[str], values: Array, steps: Array) -> None:
+def require_finite(signals: Sequence[str], values: m.Array, steps: m.Array) -> None:
     """Raise FloatingPointError naming the first of the values (signals and the cost, N) that is no finite number."""
     for row, car in np.argwhere(~np.isfinite(values)):
         what = f"{[*signals, 'the cost'][row]} of car {car} is {values[row, car]} after {steps[car]} steps"

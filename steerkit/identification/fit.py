@@ -36,8 +36,7 @@ THIRDS, CONTRADICTION = 3, 5.99
 """Stretches of the log that must agree, and the 95 % point of chi^2 for what they differ by."""
 BANK = 0.02
 """Standard deviation of a road's mean bank, of which a log says nothing [rad]."""
-REZERO = 15.0
-"""Driving from which the wheel's zero is found again, in the second figure of a prediction [s]."""
+_REZERO = 15.0  # Driving from which the wheel's zero is found again, in the second figure of a prediction [s]
 OPEN = {
     "steer_ratio": "car.vehicle.steer_ratio",
     "delay": "drive.delay",
@@ -302,7 +301,7 @@ def predict(simulator: Simulator, theta: dict[str, float]) -> Prediction:
     error = drive.r - predicted
     use = np.flatnonzero(drive.driving)
     slope = (rates[:, 1] - rates[:, 0]) / step
-    first, later = np.split(use, [min(len(use) // 2, round(REZERO / drive.dt))])
+    first, later = np.split(use, [min(len(use) // 2, round(_REZERO / drive.dt))])
     shift = float(slope[first] @ error[first] / (slope[first] @ slope[first]))
     return Prediction(
         drive=drive,

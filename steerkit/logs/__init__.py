@@ -22,15 +22,12 @@ from steerkit.logs.drive import ODD, Drive, aligned, in_metres, odd_values
 __all__ = ["Channel", "Column", "ColumnMap", "Drive", "RawLog", "drive_of", "read_drive", "read_log", "shipped_drives"]
 
 
-_DAY = 86400.0
-"""[s]"""
-_SPARSE = 0.75
-"""A column of a table that is empty in more rows than these leave has rows of its own."""
+_DAY = 86400.0  # [s]
+_SPARSE = 0.75  # A column of a table that is empty in more rows than these leave has rows of its own
 _DRIVES = Path(__file__).parent / "drives"
 _SHIPPED = {"genesis": _DRIVES / "genesis.csv.gz", "genesis-rfs": _DRIVES / "genesis_rfs.csv.gz"}
 
-STEER_RATIO = 15.0
-"""Steering-wheel angle over the road wheels' where a log has only these, and no ratio is given."""
+_STEER_RATIO = 15.0  # Steering-wheel angle over the road wheels' where a log has only these, and no ratio is given
 
 
 def shipped_drives() -> tuple[str, ...]:
@@ -130,7 +127,7 @@ def drive_of(
     del log  # a long one may be larger than its drive
     notes += odd_values({quantity: values[quantity] for quantity in ODD if quantity in values}, times)
     if "delta" in values and "delta_sw" not in values:
-        ratio = STEER_RATIO if steer_ratio is None else steer_ratio
+        ratio = _STEER_RATIO if steer_ratio is None else steer_ratio
         require(0.0 < ratio < 100.0, where, f"steer_ratio = {ratio:g}, expected more than 0, such as 15")
         values["delta_sw"], times["delta_sw"] = ratio * values.pop("delta"), times.pop("delta")
         kind = "not known: say steer_ratio" if steer_ratio is None else "as given"

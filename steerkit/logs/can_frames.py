@@ -22,10 +22,8 @@ _CANDUMP = re.compile(
     r"\((\d+\.\d+)\) +\S+ +([0-9A-F]+)#(?:#[0-9A-F])?(R\d*|(?:[0-9A-F]{2})*)( [RT])?\s*", re.IGNORECASE
 )
 """A line of candump: time, identifier, data; R: a remote frame."""
-_ERROR = 0x20000000
-"""Bit of the identifiers that candump gives error frames."""
-_FEW = 50
-"""From this number of frames on, a sum that nearly all of a message hold is its check sum."""
+_ERROR = 0x20000000  # Bit of the identifiers that candump gives error frames
+_FEW = 50  # From this number of frames on, a sum that nearly all of a message hold is its check sum
 
 Frame = tuple[float, int, bool, bytes]
 """Time [s], identifier, is it extended, data."""

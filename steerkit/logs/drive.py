@@ -156,13 +156,11 @@ def standing_off(values: Array, least: float | Array) -> NDArray[np.intp]:
     return np.flatnonzero(beside > most) + 1
 
 
-V_DRIVING = 3.0
-"""From this speed on [m/s] a drive shows the car; below, the models roll kinematically."""
+_V_DRIVING = 3.0  # From this speed on [m/s] a drive shows the car; below, the models roll kinematically
 
 LEAST = 20.0
 """Least driving to identify from [s]."""
-TURNING = 3e-4
-"""Standard deviation of the curvature from which on a drive turns [1/m]."""
+_TURNING = 3e-4  # Standard deviation of the curvature from which on a drive turns [1/m]
 SETTLE = 1.0
 """After a gap, and at the start, the model has this long to forget what it does not know [s]."""
 SCALE_WINDOW, SCALE_UNKNOWN = 5.0, 0.05
@@ -219,13 +217,13 @@ class Drive:
     @property
     def driving(self) -> NDArray[np.bool_]:
         """The samples that a model is fitted to: recorded, and 3 m/s or faster (n,)."""
-        return self.measured & (self.v >= V_DRIVING)
+        return self.measured & (self.v >= _V_DRIVING)
 
     @property
     def turns(self) -> bool:
         """Does it turn enough to identify the car? Else not even units and signs can be judged."""
         use = self.driving
-        return float(np.std(self.r[use] / self.v[use])) > TURNING
+        return float(np.std(self.r[use] / self.v[use])) > _TURNING
 
     def to_log(self) -> Log:
         """The drive as a Log: `save` writes it as .csv, .npz or .parquet, which `read_drive` reads again."""
@@ -281,7 +279,7 @@ class Drive:
             **{key: even[key] for key in ("delta_sw", "v", "psi", *PLACES) if key in even},
         )
         seconds = float(np.sum(drive.driving)) * dt
-        require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
+        require(seconds >= LEAST, name, f"only {seconds:.1f} s at {_V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
         if not trusted:
             _check_speeds_unit(drive, t)
             _check_plausible(drive)
@@ -457,8 +455,8 @@ def _yaw_rate(
         window = 2 * round(0.5 * HEADING_WINDOW / dt) + 1
         remarks.append(f"yaw rate: slope of the heading over {window * dt:.2f} s")
         return scipy.signal.savgol_filter(even["psi"], window, 2, deriv=1, delta=dt), True, 0.0
-    use = measured & (even["v"] >= V_DRIVING)
-    require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {V_DRIVING:g} m/s or faster")
+    use = measured & (even["v"] >= _V_DRIVING)
+    require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {_V_DRIVING:g} m/s or faster")
     n = round(SCALE_WINDOW / dt)
     through = np.convolve(use, np.ones(n + 1), mode="valid") > n + 0.5
     gyro = scipy.integrate.cumulative_trapezoid(even["r"], dx=dt, initial=0.0)
@@ -554,8 +552,7 @@ def _check_plausible(drive: Drive) -> None:
 
 LATEST, EARLIEST = 0.7, -0.3
 """By how much a yaw rate may follow the steering [s]: more is of no car, but of its clock."""
-_SOUGHT = 3.0
-"""Lags up to this are looked for [s]."""
+_SOUGHT = 3.0  # Lags up to this are looked for [s]
 
 
 def _late(drive: Drive) -> str:

@@ -20,8 +20,7 @@ _FEWEST_CLOSED = 6
 
 _CALLED = {"x": "x", "y": "y", "lat_deg": "lat", "lon_deg": "lon", "t": "t", "v": "v"}
 """Quantities, and what their columns are called here."""
-_READ = (*_CALLED.values(), "s", "psi", "kappa", "v_limit")
-"""Columns that have to hold numbers."""
+_READ = (*_CALLED.values(), "s", "psi", "kappa", "v_limit")  # Columns that have to hold numbers
 _SCALES = {unit: factor for units in FACTORS.values() for unit, factor in units.items()}
 
 
@@ -185,8 +184,7 @@ def check_gps(lat: Array, lon: Array, where: str) -> None:
     if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
         raise ValueError(f"{where}: lat of shape {lat.shape}, lon of shape {lon.shape}, expected both (n,)")
     broken = np.flatnonzero(~(np.isfinite(lat) & np.isfinite(lon)))
-    if broken.size:
-        raise ValueError(f"{where}: position {_few(broken)} not finite [degrees], expected numbers")
+    require(not broken.size, where, f"position {_few(broken)} not finite [degrees], expected numbers")
     wrong = np.flatnonzero((np.abs(lat) > 90.0) | (np.abs(lon) > 180.0))
     if wrong.size:
         k = wrong[0]

@@ -212,8 +212,7 @@ _JUDGED = {
     False: ("failed", "bad", "not kept"),
     None: ("not judged", "open", "not judged"),
 }
-_MANY = 12
-"""More evaluations than these get a row each."""
+_MANY = 12  # More evaluations than these get a row each
 _SETTINGS = ("course", "repeats", "sides", "cutoff")
 
 

@@ -63,8 +63,7 @@ def assembled(
     )
 
 
-_STEADY = 0.05
-"""A wheel that is so near its command follows it [rad]."""
+_STEADY = 0.05  # A wheel that is so near its command follows it [rad]
 
 
 class SignCheck:
@@ -197,8 +196,7 @@ METRICS = {metric.name: metric for metric in TABLE if metric.group in ("tracking
 """The metrics that a sweep knows by name."""
 USUAL = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y")
 _SIGNALS = ("path.e", "path.psi_e", "car.delta_sw", "car.a_y")
-_SAMPLES = 1e6
-"""Samples of a batch: as many of each signal are in memory at once."""
+_SAMPLES = 1e6  # Samples of a batch: as many of each signal are in memory at once
 
 
 @dataclass(frozen=True)

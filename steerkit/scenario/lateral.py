@@ -13,7 +13,6 @@ from steerkit.controllers.lateral import DT, PREVIEW, STEER, ChallengeController
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.loop import Loop
-from steerkit.diagram.maths import Table
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.metrics import lateral_cost
 from steerkit.paths.waypoints import read_columns
@@ -48,7 +47,7 @@ class LateralTarget(Block):
     a_y = Out("m/s^2", direct=(answer,))
     delta_sw = Out("rad", direct=(a_y_cmd,))
 
-    table: Table
+    table: m.Table
     """A row a sample: a_y, a_roll [m/s^2], v [m/s], a_x [m/s^2]."""
     vehicle: Vehicle = VW_PASSAT
     """The car of the data sheet by which commands are meant."""
@@ -71,7 +70,7 @@ class LateralTarget(Block):
             first = int(np.argmax(~((least <= values) & (values <= most))))  # that does not fit, if any
             require_within(f"{where}, at {first * DT:.1f} s", name, float(values[first]), unit, least, most)
         a_x = np.gradient(columns["v"], DT)
-        return cls(table=Table(np.column_stack((columns["a_y"], columns["a_roll"], columns["v"], a_x))))
+        return cls(table=m.Table(np.column_stack((columns["a_y"], columns["a_roll"], columns["v"], a_x))))
 
     @classmethod
     def drawn(cls, seed: int, *, seconds: float = 60.0) -> "LateralTarget":

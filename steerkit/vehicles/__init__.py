@@ -222,8 +222,7 @@ def tables_of(text: str, where: str) -> dict[str, Any]:
     return data
 
 
-MU = 0.9
-"""Friction coefficient that every car of the fleet gets: assumed, dry asphalt."""
+_MU = 0.9  # Friction coefficient that every car of the fleet gets: assumed, dry asphalt
 _STREAM = 21  # of `seed_state`: which car is drawn
 
 
@@ -268,7 +267,7 @@ def _car(row: dict[str, str]) -> FleetCar:
     name, interface = row.pop("name").lower().replace("_", "-"), row.pop("interface")
     numbers = {key: float(value) for key, value in row.items()}
     wheelbase, steer_delay, slowest = (numbers.pop(key) for key in ("wheelbase", "steer_delay", "slowest"))
-    vehicle = Vehicle(name=name, l_r=wheelbase - numbers["l_f"], mu=MU, **numbers)
+    vehicle = Vehicle(name=name, l_r=wheelbase - numbers["l_f"], mu=_MU, **numbers)
     return FleetCar(vehicle=vehicle, steer_delay=steer_delay, slowest=slowest, interface=interface)
 
 

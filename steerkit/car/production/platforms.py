@@ -25,8 +25,7 @@ INSTALL = (
     "a production car is steered through the library opendbc, which is not installed: "
     "pip install 'steerkit-control[production]' (Python 3.11 or 3.12)"
 )
-NOT_CARS = ("mock", "body")
-"""Makers in the library's list whose platforms are no cars."""
+_NOT_CARS = ("mock", "body")  # Makers in the library's list whose platforms are no cars
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +148,7 @@ def _interfaces() -> Mapping[str, Any]:
 def listed() -> dict[str, Platform]:
     """All cars by name, in alphabetical order, those that are only looked at included; ValueError without opendbc."""
     every = [Platform(name, kind.get_non_essential_params(name)) for name, kind in sorted(_interfaces().items())]
-    return {found.name: found for found in every if found.maker not in NOT_CARS}
+    return {found.name: found for found in every if found.maker not in _NOT_CARS}
 
 
 def platform(name: str) -> Platform:
@@ -161,8 +160,7 @@ def platform(name: str) -> Platform:
     return found
 
 
-CONTROL_HZ = 100.0
-"""Frames of a port's counter in a second."""
+_CONTROL_HZ = 100.0  # Frames of a port's counter in a second
 SPEEDS = (10.0, 31.0)
 """Between which a production car is driven by a lane keeping system [m/s]."""
 WITHIN = 0.95
@@ -241,7 +239,7 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
     """The limits of a platform's port, for a car of these numbers."""
     controls = platform.controls
     step = float(getattr(controls, "STEER_STEP", 1))
-    frame = step / CONTROL_HZ
+    frame = step / _CONTROL_HZ
     if platform.steered_by == "torque":
         share = float(controls.STEER_DELTA_UP) / (1.0 if platform.maker == "honda" else platform.full * frame)
         lateral = platform.lateral

@@ -161,12 +161,9 @@ def _bend(psi: float, turn: float, radius: float, ramp: float) -> NDArray[np.flo
     return cumulative_simpson(np.stack((np.cos(heading), np.sin(heading))), x=s, initial=0.0).T[::10]
 
 
-_STEEPEST = 10.0 / math.sqrt(3.0)
-"""Largest z'' of 10 z^3 - 15 z^4 + 6 z^5."""
-_RUN = 30.0
-"""Straight before and after a manoeuvre [m]."""
-_WIDTH = 1.82
-"""Width of the car that ISO 3888-2 asks for [m]: a VW Passat's."""
+_STEEPEST = 10.0 / math.sqrt(3.0)  # Largest z'' of 10 z^3 - 15 z^4 + 6 z^5
+_RUN = 30.0  # Straight before and after a manoeuvre [m]
+_WIDTH = 1.82  # Width of the car that ISO 3888-2 asks for [m]: a VW Passat's
 _ISO_3888 = {
     1: ((15.0, 30.0, 25.0, 25.0, 15.0 + 15.0), 3.5),
     2: ((12.0, 13.5, 11.0, 12.5, 12.0), 1.0 + 0.5 * (1.1 * _WIDTH + 0.25 + _WIDTH + 1.0)),

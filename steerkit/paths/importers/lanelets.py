@@ -25,8 +25,7 @@ _WAYS = re.compile(
     "unclassified|residential|living_street|service|road|track|raceway|busway"
 )
 """`highway` of ways for cars."""
-_WIDEST = 20.0
-"""A lanelet is no wider [m]."""
+_WIDEST = 20.0  # A lanelet is no wider [m]
 
 
 def commonroad(file: str) -> Map:

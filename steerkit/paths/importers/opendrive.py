@@ -25,13 +25,10 @@ _TORN, _BENT = 0.2, 0.1
 _DRIVABLE = re.compile(
     "driving|entry|exit|onRamp|offRamp|connectingRamp|slipLane|bidirectional|bus|taxi|HOV|mwyEntry|mwyExit|special[123]"
 )
-_TOLD_LINKS = 3
-"""Links that a map lacks are told one by one up to so many."""
+_TOLD_LINKS = 3  # Links that a map lacks are told one by one up to so many
 _UNITS = {"": 1.0, "m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
-_WIDEST = 15.0
-"""A lane is no wider [m]."""
-_MOST_TURN = 200.0
-"""A spiral turns by no more than this [rad]."""
+_WIDEST = 15.0  # A lane is no wider [m]
+_MOST_TURN = 200.0  # A spiral turns by no more than this [rad]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 Steps = list[tuple[float, Any]]

@@ -257,15 +257,12 @@ def csv(file: str) -> list[Track]:
     return [track]
 
 
-_STOOD = 5.0
-"""A car that moves less than the noise allows within this time stands [s]."""
+_STOOD = 5.0  # A car that moves less than the noise allows within this time stands [s]
 _LOST = 5.0
 """A receiver that says nothing for this long has lost the way [s], if the car has moved by `_MOVED` meanwhile [m]."""
 _MOVED = 30.0
-_FIT = 9.0
-"""The speed is the slope of the distance over this time [s]."""
-_LEAST_ROUND = 60.0
-"""A round is this long at least [m]."""
+_FIT = 9.0  # The speed is the slope of the distance over this time [s]
+_LEAST_ROUND = 60.0  # A round is this long at least [m]
 
 
 EVER = (-math.inf, math.inf)
