@@ -441,9 +441,8 @@ class Reading:
         interface = self.entry("bus", table, "interface", str)
         channel = table.get("channel")
         named = isinstance(channel, (str, int)) and not isinstance(channel, bool)
-        self.require(
-            named, f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number"
-        )
+        name = f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number"
+        self.require(named, name)
         options = self.entry("bus", table, "options", dict, {})
         for key, value in options.items():
             fits = key not in _BUS and isinstance(value, (str, int, float))

@@ -167,13 +167,11 @@ def compile(
     """A loop as fast as the machine allows; runs give the same `Log` as `simulate`.
 
     backend: "c" (through gcc, kept in a cache on disk; for one car and for many), "python" (generated floats, quickest
-    to make) or "auto": C where there is a compiler, else Python and a warning.
-    record: signals to keep (default: all); every: keep one tick in `every`. parameters: block fields to leave open,
-    such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car (for a field that is a
-    tuple, such as a policy's weights: an array (n,), or (n, N) for N cars).
-
-    Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError for backend "c" without
-    a compiler; KeyError for an unknown signal; ValueError for a bad argument.
+    to make) or "auto": C where there is a compiler, else Python and a warning. record: signals to keep (default: all);
+    every: keep one tick in `every`. parameters: block fields to leave open, such as "controller.k" or "car.vehicle.m";
+    `run` takes a value for each, or one a car (for a field that is a tuple, such as a policy's weights: an array (n,),
+    or (n, N) for N cars). Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError
+    for backend "c" without a compiler; KeyError for an unknown signal; ValueError for a bad argument.
     """
     require(every >= 1, "compile", f"every = {every}, expected a whole number >= 1")
     require(backend in ("auto", "python", "c"), "compile", f"backend {backend!r}; valid: auto, python, c")

@@ -14,21 +14,10 @@ Node = tuple[Any, ...]
 """`(op, *operands)`: operands are numbers of earlier nodes, except of const (its hex), in (slot), row (table number,
 index, column), call (routine number, how many numbers it gives, its arguments) and result (a call, column)."""
 
-_COMPARE = frozenset({"lt", "le", "eq", "ne"})
-_LOGIC = frozenset({"and", "or"})
-BOOLEAN = _COMPARE | _LOGIC | {"not"}
-INFIX = {
-    "add": "+",
-    "sub": "-",
-    "mul": "*",
-    "div": "/",
-    "lt": "<",
-    "le": "<=",
-    "eq": "==",
-    "ne": "!=",
-    "and": "&",
-    "or": "|",
-}
+_COMPARE = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
+_LOGIC = {"and": "&", "or": "|"}
+BOOLEAN = frozenset({*_COMPARE, *_LOGIC, "not"})
+INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"} | _COMPARE | _LOGIC
 """How C writes what stands between two operands."""
 FUNCTIONS = frozenset({"sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "floor", "atan2"})
 

@@ -88,9 +88,8 @@ class Adaptive(Block):
     def __post_init__(self) -> None:
         super().__post_init__()
         where, n = "Adaptive", len(self.delays)
-        require(
-            len(self.blocks) == n and n >= 2, where, f"{len(self.blocks)} blocks for {n} delays, expected 2 or more"
-        )
+        many = f"{len(self.blocks)} blocks for {n} delays, expected 2 or more"
+        require(len(self.blocks) == n and n >= 2, where, many)
         step = self.delays[1] - self.delays[0]
         even = all(abs(b - a - step) < 1e-9 for a, b in zip(self.delays, self.delays[1:]))
         require(step > 0.0 and even, where, f"delays = {self.delays} [s], expected growing by the same step")

@@ -37,9 +37,7 @@ class DelayPredictor(Block):
     wheel's angle is taken. A negative v counts as 0. NaN in an input that the wrapped block or the prediction needs
     gives NaN out. A command that is replaced on its way to the wheel (by another controller in charge, a limiter) is
     not known here: for `delay` after a hand-over the prediction is wrong by the difference. Raises ValueError for a
-    wrapped block with other ports or sample time, and for a preview_points below 1.
-
-    Source: Smith 1957 (predictor).
+    wrapped block with other ports or sample time, and for a preview_points below 1. Source: Smith 1957 (predictor).
     """
 
     e = In("m")

@@ -80,9 +80,8 @@ def linearised(block: Block, v: float) -> Law:
     make, n = entries_of(block)
     names = [port.name for port in block.inputs]
     stray = set(names) - {*_SEEN, "kappa", "preview", "v"}
-    require(
-        not stray, "linearised", f"{type(block).__name__} needs {', '.join(sorted(stray))}, which has no model here"
-    )
+    needs = f"{type(block).__name__} needs {', '.join(sorted(stray))}, which has no model here"
+    require(not stray, "linearised", needs)
     inputs = tuple([name for name in _SEEN if name in names])
     count = n + len(inputs)
     steps = _SMALL * np.kron(np.eye(count), [1.0, -1.0])

@@ -30,13 +30,11 @@ class OffsetFree(Wrapper):
     another one in each, and none in Stanley.
 
     z is held while |e| > reach, below v_least, while the command is at its limit or at its fastest, and where e or v is
-    not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that
-    of `block`, then z [rad], the time for which it has moved [s], the mean of e + T e' [m], the last e [m] and the last
+    not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that of
+    `block`, then z [rad], the time for which it has moved [s], the mean of e + T e' [m], the last e [m] and the last
     command [rad]. Valid where `block` by itself is stable. Raises ValueError for a block without the inputs e and v and
-    the output delta_sw.
-
-    Source: Astrom, Hagglund 2006, section 3.5 and ch. 6 (conditional integration, cancelled pole); Pannocchia, Rawlings
-    2003 and Maeder, Borrelli, Morari 2009 (what a model of the disturbance gives an MPC).
+    the output delta_sw. Source: Astrom, Hagglund 2006, section 3.5 and ch. 6 (conditional integration, cancelled pole);
+    Pannocchia, Rawlings 2003 and Maeder, Borrelli, Morari 2009 (what a model of the disturbance gives an MPC).
     """
 
     needs = ("e", "v")
@@ -113,9 +111,8 @@ class CommandCompensation(Wrapper):
 
     makes a steering that turns the wheel to gain*command + offset reach the angle that `block` asks for. Ports, units,
     state and sample time are those of `block`, which goes on from its own angle. It sees the measured angle as it is,
-    with offset and gain in it.
-
-    Raises ValueError for a gain that is not positive and for a block without an output delta_sw.
+    with offset and gain in it. Raises ValueError for a gain that is not positive and for a block without an output
+    delta_sw.
     """
 
     changes = ("delta_sw",)

@@ -23,9 +23,7 @@ class PurePursuit(Block):
 
     Inputs: s [m] along `path` of the rear axle (a tracker with reference = -l_r); x, y [m] of the centre of gravity;
     psi [rad]; v [m/s]. Output: delta_sw [rad], within +-limit. No state. A negative v counts as 0. NaN in any input
-    gives NaN out.
-
-    Source: Coulter 1992; Snider 2009, section 2.1.
+    gives NaN out. Source: Coulter 1992; Snider 2009, section 2.1.
     """
 
     s = In("m")

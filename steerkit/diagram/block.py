@@ -102,7 +102,6 @@ class Block:
     results, the object keeps nothing. A parameter declared as `gain: float = number(2.0, "1/s", low=0.0)` has its range
     checked when the block is made (ValueError). Equations use `steerkit.diagram.maths`, so that they serve floats,
     batches and CasADi symbols. A block whose `pure` is False (a real car) can be simulated, not traced or batched.
-
     Raises TypeError for a class that could remember: with an `__init__` of its own or a list, dictionary, set or array
     as a class attribute, when the class is made; without `@dataclass(frozen=True, ...)`, when its first object is.
     """

@@ -254,13 +254,12 @@ class Loop:
     blocks: the blocks by name, in the order wanted for display. wires: pairs of ports, `(car.v, stanley.v)`: source
     first. dt: base sample time [s]; by default the smallest of the blocks'. Each block's must be a multiple of it.
 
-    At tick k, t = k*dt: every block that is due computes its outputs, in an order in which each direct input is
-    known before it is needed; then every due block computes its next state from all its inputs at the same t. The
-    outputs of a slow block are held between its samples.
-
-    Raises WiringError, naming both ends and their units, for: two different units or sizes on a wire, an input that
-    is not driven or has two sources, a wire that is no pair of an output and an input, a block that is not in the
-    loop or is in it twice, a chain of direct inputs that bites its own tail, sample times that do not divide.
+    At tick k, t = k*dt: every block that is due computes its outputs, in an order in which each direct input is known
+    before it is needed; then every due block computes its next state from all its inputs at the same t. The outputs of
+    a slow block are held between its samples. Raises WiringError, naming both ends and their units, for: two different
+    units or sizes on a wire, an input that is not driven or has two sources, a wire that is no pair of an output and an
+    input, a block that is not in the loop or is in it twice, a chain of direct inputs that bites its own tail, sample
+    times that do not divide.
     """
 
     def __init__(self, *, blocks: Mapping[str, Block], wires: Sequence[Wire], dt: float | None = None):

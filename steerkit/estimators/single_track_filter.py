@@ -59,18 +59,16 @@ class SingleTrackFilter(Block):
 
     Inputs: delta_sw [rad], the command, or the measured wheel, whose offset is then found; v [m/s]; r [rad/s]; psi
     [rad], NaN where there is none; delay, lag [s] from that angle to the measured r, without the car's own, and
-    delay_deviation [s] of their sum; active [1]: does the angle steer?
-    Outputs, of state only: ratio, ratio_deviation [1], understeer, understeer_deviation [rad s^2/m], offset,
-    offset_deviation, disturbance, disturbance_deviation, total_offset, total_offset_deviation [rad], rate_zero,
-    rate_zero_deviation [rad/s]; ratio_valid, understeer_valid, offset_valid, disturbance_valid, total_offset_valid,
-    rate_zero_valid [1]: the deviation is at most 3 %, a quarter of the prior's, 0.25 degrees, half of its own, 0.35
-    degrees, 0.001 rad/s, before it is widened by what driving cannot show (`gyro_scale`, `bank`, tyres that saturate);
-    missing [1], 1 if a number of the last sample but psi was.
-    A sample is used where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
-    State: filters, a delay line, the six numbers, P's upper triangle.
-
-    Source: Gelb 1974, section 6.1 (extended Kalman filter); Rajamani 2012, section 3.3; Kulhavy, Zarrop 1993
-    (forgetting towards a prior). openpilot's paramsd (comma.ai) and Autoware's steering offset estimator do this too.
+    delay_deviation [s] of their sum; active [1]: does the angle steer? Outputs, of state only: ratio, ratio_deviation
+    [1], understeer, understeer_deviation [rad s^2/m], offset, offset_deviation, disturbance, disturbance_deviation,
+    total_offset, total_offset_deviation [rad], rate_zero, rate_zero_deviation [rad/s]; ratio_valid, understeer_valid,
+    offset_valid, disturbance_valid, total_offset_valid, rate_zero_valid [1]: the deviation is at most 3 %, a quarter of
+    the prior's, 0.25 degrees, half of its own, 0.35 degrees, 0.001 rad/s, before it is widened by what driving cannot
+    show (`gyro_scale`, `bank`, tyres that saturate); missing [1], 1 if a number of the last sample but psi was. A
+    sample is used where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
+    State: filters, a delay line, the six numbers, P's upper triangle. Source: Gelb 1974, section 6.1 (extended Kalman
+    filter); Rajamani 2012, section 3.3; Kulhavy, Zarrop 1993 (forgetting towards a prior). openpilot's paramsd
+    (comma.ai) and Autoware's steering offset estimator do this too.
     """
 
     delta_sw = In("rad", direct=False)

@@ -73,12 +73,11 @@ class DelayBank(Bank):
 
     Outputs, of state only: delay, delay_deviation, lag, lag_deviation, and of their sum delay_lag, delay_lag_deviation
     [s]; delay_valid, lag_valid, delay_lag_valid [1]; missing [1]: 1 where the last sample held a NaN. The sum is known
-    far better than its parts, which only fast steering separates. Valid: the deviation is at most `enough` (twice
-    that for the parts), the commands explain half of the response's variance, and the sum is not at an end of what the
-    candidates reach, earliest + 0.59 L0 and longest + 2 L0. State: filters, delay lines, moments.
-
-    Source: Ljung 1999, sections 7.3 and 11.2 (regression, forgetting); Golub, Pereyra 1973 (linear parameters solved
-    for). openpilot's lag estimation (comma.ai 2025) has the same task and correlates two accelerations.
+    far better than its parts, which only fast steering separates. Valid: the deviation is at most `enough` (twice that
+    for the parts), the commands explain half of the response's variance, and the sum is not at an end of what the
+    candidates reach, earliest + 0.59 L0 and longest + 2 L0. State: filters, delay lines, moments. Source: Ljung 1999,
+    sections 7.3 and 11.2 (regression, forgetting); Golub, Pereyra 1973 (linear parameters solved for). openpilot's lag
+    estimation (comma.ai 2025) has the same task and correlates two accelerations.
     """
 
     delta_sw_cmd = In("rad", direct=False)
@@ -162,7 +161,6 @@ class DelayBank(Bank):
         return 0.0
 
     def _found(self, x: State) -> State:
-        """All outputs."""
         dt, n, precision = self.dt, self._line, (_GAIN, _SHARE, 1.0 / self.prior_lag_deviation**2)
         sums, before = Sums._make(x[:4]), _Before._make(x[4:_FIRST])
         moments = x[_FIRST + 3 * n : _FIRST + (3 + MOMENTS) * n]
@@ -211,9 +209,6 @@ class WheelDelay(OfWheel, DelayBank):
     to them; missing [1].
     """
 
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(*self._found(x))
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class YawDelay(OfYawRate, DelayBank):
@@ -230,9 +225,6 @@ class YawDelay(OfYawRate, DelayBank):
     yaw_unknown: float = number(0.15, "1", low=0.0, high=1.0)
     """Standard deviation of the car's own delay, as a share of the data sheet's: mostly of the tyres' stiffness [1]."""
     play_share: ClassVar[float] = 0.5
-
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(*self._found(x))
 
     def _car_unknown(self, speed: Scalar) -> Scalar:
         return self.yaw_unknown * yaw_delay(self.vehicle, speed)

@@ -20,13 +20,12 @@ OPSET = 17
 def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *, single: bool = False) -> None:
     """Write a policy as an ONNX model: scaling, nets, their mean and the choice of the action inside.
 
-    Input `state` (N, columns): SI, columns as in the block's description, unscaled. Outputs: `action` (N,) [rad], for
-    a dynamic output element, which stays outside; of an `NfqPolicy` also `q` (N,) [1], its expected cost. A state with
-    a NaN or an infinity gives NaN. Numbers are float64; single: float32, with which a choice between two actions of
-    nearly equal cost may come out differently. Names, units and ranges stand in the model's metadata.
-
-    Raises ValueError for a policy without nets, or one that is more than its nets (a forecast, actions between those of
-    its set), or without onnx; TypeError for a block that holds no net.
+    Input `state` (N, columns): SI, columns as in the block's description, unscaled. Outputs: `action` (N,) [rad], for a
+    dynamic output element, which stays outside; of an `NfqPolicy` also `q` (N,) [1], its expected cost. A state with a
+    NaN or an infinity gives NaN. Numbers are float64; single: float32, with which a choice between two actions of
+    nearly equal cost may come out differently. Names, units and ranges stand in the model's metadata. Raises ValueError
+    for a policy without nets, or one that is more than its nets (a forecast, actions between those of its set), or
+    without onnx; TypeError for a block that holds no net.
     """
     if isinstance(block, NfqPolicy):
         require(bool(block.nets), "export_onnx", "the policy has no nets: nothing was learned yet")

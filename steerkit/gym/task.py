@@ -76,11 +76,10 @@ class Starts:
             "e": ("m", -self.task.limit, self.task.limit),
             "psi_e": ("rad", -1.6, 1.6),
         }
+        where = "TrackSteering.reset"
         for name, value in given.items():
-            require_within(
-                "TrackSteering.reset", name, value, *valid[known(name, valid, "TrackSteering.reset: option")]
-            )
-            require(np.ndim(value) == 0, "TrackSteering.reset", f"{name} = {value!r}, expected one number")
+            require_within(where, name, value, *valid[known(name, valid, f"{where}: option")])
+            require(np.ndim(value) == 0, where, f"{name} = {value!r}, expected one number")
         task, seed, s = self.task, int(rng.integers(2**31)), rng.random() * self.last
         e, psi_e = rng.uniform(-task.start_e, task.start_e), task.start_psi_e * rng.uniform(-1.0, 1.0)
         chosen = {"s": 0.0 if task.start == "beginning" else s, "e": e, "psi_e": psi_e} | given
@@ -209,11 +208,10 @@ class Task:
 
     observation: (s - mid)/half of the learner's state s (`description`), as the sensors see it, float32, cut at +-10.
     action: a number of `actions`, or a in [-1, 1], which means a*largest [rad]; what an action does is up to `doe`.
-    reward: -cost(s, a, s_next), and -failure in the step in which |e| > limit, which terminates the episode.
-    truncated: after `duration`, or 5 m before the end of an open course.
-    start: e and psi_e are drawn, the place too; a single-track car starts in the steady state of its bend.
-
-    Raises ValueError for options that do not fit, naming the valid ones.
+    reward: -cost(s, a, s_next), and -failure in the step in which |e| > limit, which terminates the episode. truncated:
+    after `duration`, or 5 m before the end of an open course. start: e and psi_e are drawn, the place too; a
+    single-track car starts in the steady state of its bend. Raises ValueError for options that do not fit, naming the
+    valid ones.
     """
 
     course: str = "paper"

@@ -365,9 +365,8 @@ def identify(
 
     base: the car whose mass, inertia and geometry are taken as given (default: vw-passat): the yaw rate determines
     ratio times wheelbase and stiffness over mass, never the two apart. fixed: parameters to hold. known: (mean,
-    deviation) to replace a prior. Raises ValueError for an unknown name or a number out of bounds.
-
-    Source: Ljung 1999, sections 7.2 (output error) and 9.4; White 1982 (sandwich).
+    deviation) to replace a prior. Raises ValueError for an unknown name or a number out of bounds. Source: Ljung 1999,
+    sections 7.2 (output error) and 9.4; White 1982 (sandwich).
     """
     base = base or vehicle("vw-passat")
     require(drive.turns, drive.name, "it hardly turns: a drive straight on determines nothing of the car; add bends")

@@ -146,11 +146,10 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
     over pieces. A drive with a throttle gives v' = throttle_gain u - rolling - drag v^2 - F_f sin(delta)/m, by the
     change of speed over 1 s; without one drag cannot be told from the engine, and is left out with a note.
 
-    base: mass, inertia, geometry as given (default: vw-passat). v_y is the log's, or by position and
-    heading; without either the yaw rate tells alone. fixed: parameters to hold, in SI. A mu of which the log tells
-    less than half is NaN: "not determined". Raises ValueError for a drive that is too short or straight.
-
-    Source: Bock 1983 (multiple shooting); Ljung 1999, section 7.2; Pacejka 2012, section 4.3.
+    base: mass, inertia, geometry as given (default: vw-passat). v_y is the log's, or by position and heading; without
+    either the yaw rate tells alone. fixed: parameters to hold, in SI. A mu of which the log tells less than half is
+    NaN: "not determined". Raises ValueError for a drive that is too short or straight. Source: Bock 1983 (multiple
+    shooting); Ljung 1999, section 7.2; Pacejka 2012, section 4.3.
     """
     base = base or vehicle("vw-passat")
     for name in ("delta_sw", "v", "r"):
@@ -162,13 +161,8 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
     for name, value in (fixed or {}).items():
         known_name(name, table, "parameter of identify_tyres")
         kept = math.log(value) if name[:2] in _LOGS else value
-        require_within(
-            "identify_tyres",
-            name,
-            value,
-            table[name].unit,
-            *_named({name: np.array([table[name].low, table[name].high])})[name],
-        )
+        low, high = _named({name: np.array([table[name].low, table[name].high])})[name]
+        require_within("identify_tyres", name, value, table[name].unit, low, high)
         table[name] = replace(table[name], mean=kept, deviation=0.0)
     # before it fits, errors go together, and would count for nothing; few pieces are enough to come near
     few = _Pieces(drive, base, table, v_y, _FEW)
@@ -285,11 +279,8 @@ class _Pieces:
                 break
             starts.append(at)
             at += n
-        require(
-            len(starts) >= 10,
-            drive.name,
-            f"{len(starts) * PIECE:g} s in pieces of {PIECE:g} s at 3 m/s or faster, expected 20 s or more",
-        )
+        few = f"{len(starts) * PIECE:g} s in pieces of {PIECE:g} s at 3 m/s or faster, expected 20 s or more"
+        require(len(starts) >= 10, drive.name, few)
         starts = [starts[i] for i in np.linspace(0, len(starts) - 1, min(most, len(starts))).round().astype(int)]
         self.at = np.array(starts) + np.arange(n + 1)[:, None]
         seen = np.full(len(drive.v), np.nan) if v_y is None else v_y
@@ -457,10 +448,9 @@ def learn_residual(tyres: Tyres, drive: Drive) -> Residual:
 
     W minimises the errors of v_y, r and lateral displacement 0.2, 0.5, 1 and 2 s ahead of many starts, linearised about
     the tyres' roll-out, by ridge regression. Two features are what the last half second showed; those of the state, and
-    the share, are chosen on eighths of the drive held out in turn: the state enters where all three get better with
-    95 % confidence, the share is the lower 95 % bound of the best one, and 0 where one of the three gets worse, half a
+    the share, are chosen on eighths of the drive held out in turn: the state enters where all three get better with 95
+    % confidence, the share is the lower 95 % bound of the best one, and 0 where one of the three gets worse, half a
     second ahead or over all. White noise in v_y and r makes it a filter too: what was predicted corrects the start.
-
     Raises ValueError for a drive with less than eight seconds in a row of 1.5 s. Source: Hoerl, Kennard 1970.
     """
     scene, dt = tyres.scene(drive), drive.dt

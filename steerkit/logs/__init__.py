@@ -207,12 +207,8 @@ def _clock(table: Table, time: Column | None, where: str) -> str:
     if time is not None and time.name in table.columns:
         return time.name
     known = [name for name in table.columns if place("t", name) is not None]
-    require(
-        known,
-        where,
-        f"which column is t? Columns: {', '.join(table.columns)}. Say so in a map, such as "
-        't = { column = "stamp", unit = "ms" }, or with --column t=stamp:ms',
-    )
+    how = 'such as t = { column = "stamp", unit = "ms" }, or with --column t=stamp:ms'
+    require(known, where, f"which column is t? Columns: {', '.join(table.columns)}. Say so in a map, {how}")
     return known[0]
 
 

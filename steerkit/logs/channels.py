@@ -187,12 +187,9 @@ class ColumnMap:
         missing = [] if {"delta_sw", "delta"} & columns.keys() else ["delta_sw"]
         missing += [] if "v" in columns else ["v"]
         missing += [] if {"r", "psi"} & columns.keys() else ["r or psi"]
-        require(
-            not missing,
-            where,
-            f"which column is {', '.join(missing)}? Columns: {', '.join(channels)}. Say so in a map, such as "
-            'delta_sw = { column = "steering_angle", unit = "deg" }, or with --column delta_sw=steering_angle:deg',
-        )
+        how = 'delta_sw = { column = "steering_angle", unit = "deg" }, or with --column delta_sw=steering_angle:deg'
+        which = f"which column is {', '.join(missing)}? Columns: {', '.join(channels)}"
+        require(not missing, where, f"{which}. Say so in a map, such as {how}")
         return ColumnMap(columns)
 
     def text(self) -> str:

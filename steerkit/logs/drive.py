@@ -347,15 +347,11 @@ def _steps(t: Array, name: str, remarks: list[str]) -> tuple[float, NDArray[np.i
         raise ValueError(f"{name}: t steps by {step:g} s, expected 0.0005 to 0.5 s; {advice}")
     gaps = np.flatnonzero(steps > max(5.0 * step, 0.25))
     if len(gaps):
-        lost, share = float(steps[gaps].sum()), float(steps[gaps].sum() / (t[-1] - t[0]))
-        require(
-            share <= 0.5,
-            name,
-            f"{lost:.0f} s of {t[-1] - t[0]:.0f} s are gaps: too little is left; is t the right column, in seconds?",
-        )
-        remarks.append(
-            f"{len(gaps)} gaps, {lost:.1f} s in all (the longest {steps.max():.1f} s): bridged, not compared"
-        )
+        lost, lasts = float(steps[gaps].sum()), float(t[-1] - t[0])
+        left = "too little is left; is t the right column, in seconds?"
+        require(lost <= 0.5 * lasts, name, f"{lost:.0f} s of {lasts:.0f} s are gaps: {left}")
+        longest = f"(the longest {steps.max():.1f} s)"
+        remarks.append(f"{len(gaps)} gaps, {lost:.1f} s in all {longest}: bridged, not compared")
     return step, gaps
 
 
@@ -396,22 +392,13 @@ def _check_ranges(columns: dict[str, Array], name: str) -> None:
     limits = {"delta_sw": (17.5, "rad", "deg"), "v": (100.0, "m/s", "km/h"), "r": (fastest, "rad/s", "deg/s")}
     for quantity, (high, unit, likely) in limits.items():
         largest = float(np.abs(columns.get(quantity, np.zeros(1))).max())
-        require(
-            largest <= high,
-            name,
-            f"{quantity} reaches {largest:.4g} {unit}, expected {high:g} at most; is it in {likely}? Say "
-            f'unit = "{likely}" in the column map',
-        )
+        say = f'is it in {likely}? Say unit = "{likely}" in the column map'
+        require(largest <= high, name, f"{quantity} reaches {largest:.4g} {unit}, expected {high:g} at most; {say}")
     lowest = float(columns["v"].min())
-    require(
-        lowest >= -1.0, name, f"v falls to {lowest:.3g} m/s: reversing is not modelled; cut it out, or mind v's sign"
-    )
-    jumps = np.abs(np.diff(columns.get("psi", np.zeros(2))))
-    require(
-        not (np.abs(jumps - 360.0) < 30.0).any(),
-        name,
-        'psi jumps by 360: it is in deg; say unit = "deg" in the column map',
-    )
+    back = f"v falls to {lowest:.3g} m/s: reversing is not modelled; cut it out, or mind v's sign"
+    require(lowest >= -1.0, name, back)
+    turns = np.abs(np.abs(np.diff(columns.get("psi", np.zeros(2)))) - 360.0) < 30.0
+    require(not turns.any(), name, 'psi jumps by 360: it is in deg; say unit = "deg" in the column map')
 
 
 def _resampled(columns: dict[str, Array], dt: float, step: float) -> dict[str, Array]:
@@ -520,11 +507,8 @@ def _check_plausible(drive: Drive) -> None:
     if not drive.turns:
         return
     slope, correlation = _line(drive.r[use] / drive.v[use], drive.delta_sw[use])
-    require(
-        abs(correlation) > 0.7,
-        drive.name,
-        f"steering and curvature r/v go together by {correlation:.2f} only (1: fully); wrong columns or clocks?",
-    )
+    apart = f"steering and curvature r/v go together by {correlation:.2f} only (1: fully); wrong columns or clocks?"
+    require(abs(correlation) > 0.7, drive.name, apart)
     small = _is_small(drive.r, drive.v)
     if (0.1 if small else PLAUSIBLE[0]) <= slope <= PLAUSIBLE[1]:
         return

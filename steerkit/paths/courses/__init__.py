@@ -77,11 +77,8 @@ def random_course(seed: int, *, length: float = 500.0, max_kappa: float = 0.1, n
     Raises ValueError unless length*max_kappa >= 8: a circle already needs 2 pi.
     """
     where = f"random_course {seed}"
-    require(
-        math.isfinite(length * max_kappa) and length > 0.0 and length * max_kappa >= 8.0,
-        where,
-        f"length {length} [m] * max_kappa {max_kappa} [1/m], expected length > 0 and a product >= 8",
-    )
+    what = f"length {length} [m] * max_kappa {max_kappa} [1/m], expected length > 0 and a product >= 8"
+    require(length > 0.0 and 8.0 <= length * max_kappa < math.inf, where, what)
     rng = np.random.default_rng(seed)
     k = np.arange(2, 8)[:, None]
     weight, phase = rng.standard_normal(k.shape) / np.sqrt(k), rng.uniform(0.0, 2.0 * math.pi, k.shape)
@@ -123,11 +120,9 @@ def bends(plan: Sequence[Bend], *, spacing: float = 1.0, name: str = "bends") ->
     headings, pieces, psi = [], [], 0.0
     for k, (_, turn_deg, radius, ramp) in enumerate(plan):
         turn = radians_of(turn_deg)
-        require(
-            0.0 <= ramp <= abs(turn) * radius or turn == 0.0,
-            where,
-            f"bend {k}: ramp {ramp} [m], expected at most radius*turn = {abs(turn) * radius:.3g} m",
-        )
+        most = abs(turn) * radius
+        what = f"bend {k}: ramp {ramp} [m], expected at most radius*turn = {most:.3g} m"
+        require(0.0 <= ramp <= most or turn == 0.0, where, what)
         headings.append(psi)
         pieces.append(_bend(psi, turn, radius, ramp))
         psi += turn
@@ -235,16 +230,14 @@ def names() -> tuple[str, ...]:
 def course(name: str) -> Path:
     """The built-in course called `name`, made once, since paths are immutable; or that of a file: see `read_course`.
 
-    * paper: closed, 795 m, like the course of the NFQ steering experiments (`paper`);
-    * genesis: a recorded real lap, 3.7 km, bends down to 24 m, open: it ends 102 m short of its start;
-    * genesis-rfs: a shorter drive, 477 m with one right bend down to 18 m, open;
-    * iso3888-1, iso3888-2: lane changes for 9 m/s and 3 m/s^2 (`lane_change`), open;
-    * calibration: a figure of eight, 100 m by 35 m, bends down to 17 m, for `steerkit car calibrate`;
-    * highway: closed, 6 km, bends down to 400 m, for speeds of 12 to 30 m/s;
-    * bends-250: closed, two straights of 300 m and two bends of 250 m, for lane keeping at 80 km/h;
-    * circle, straight, figure-eight, slalom, curvature-step: the formulas with their default sizes.
-
-    Raises ValueError for another name, with the nearest one, and for a file of which no course can be made.
+    * paper: closed, 795 m, like the course of the NFQ steering experiments (`paper`); * genesis: a recorded real lap,
+    3.7 km, bends down to 24 m, open: it ends 102 m short of its start; * genesis-rfs: a shorter drive, 477 m with one
+    right bend down to 18 m, open; * iso3888-1, iso3888-2: lane changes for 9 m/s and 3 m/s^2 (`lane_change`), open; *
+    calibration: a figure of eight, 100 m by 35 m, bends down to 17 m, for `steerkit car calibrate`; * highway: closed,
+    6 km, bends down to 400 m, for speeds of 12 to 30 m/s; * bends-250: closed, two straights of 300 m and two bends of
+    250 m, for lane keeping at 80 km/h; * circle, straight, figure-eight, slalom, curvature-step: the formulas with
+    their default sizes. Raises ValueError for another name, with the nearest one, and for a file of which no course can
+    be made.
     """
     if name not in _COURSES:
         from steerkit.paths.importers import KINDS, is_file, read_course  # a car's server does without
