@@ -233,9 +233,8 @@ def from_recording(recording: FilePath, out: FilePath, *, say: bool = True) -> d
     print(f'{made.learned} of {len(ESTIMATES)} quantities in {out}; to drive with it: [vehicle] name = "{out.name}"')
     times = ", ".join(f"{name} = {value:.3f}" for name, value in made.steering.items() if name != "offset")
     print(f"and for controllers that predict: [kit] {times}")
-    rows = {
-        name: {"value": q.value, "low": q.low, "high": q.high, "valid": q.valid > 0.5} for name, q in made.found.items()
-    }
+    rows = {name: {"value": q.value, "low": q.low, "high": q.high} for name, q in made.found.items()}
+    rows = {name: row | {"valid": made.found[name].valid > 0.5} for name, row in rows.items()}
     return {"vehicle_file": str(out), "estimates": rows, "changes": changes(made.before, made.found)}
 
 
@@ -251,13 +250,11 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
     with sessions.session(options) as here:
         if not here.recording:
             hint = f"drive with it and use its recording: steerkit car calibrate --from RECORDING --out {out}"
-            raise NothingLearned(
-                f"{here.socket}: no vehicle file: the car server there was not ours; end it, or {hint}"
-            )
+            none = "no vehicle file: the car server there was not ours"
+            raise NothingLearned(f"{here.socket}: {none}; end it, or {hint}")
         here.link.wait(timeout=10.0)
-        guided = Guided(
-            config=here.config, path=here.path, link=here.link, base=base, minutes=minutes, say=not here.live
-        )
+        how: Any = {"base": base, "minutes": minutes, "say": not here.live}
+        guided = Guided(config=here.config, path=here.path, link=here.link, **how)
         run = sessions.guided(here, f"calibration, {base}", guided, "guide")
     figures = sessions.finished(here, run)
     return figures | from_recording(FilePath(here.recording), out, say=not options.quiet)

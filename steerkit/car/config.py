@@ -296,9 +296,8 @@ def _ranges(config: CarConfig) -> Iterator[str]:
 
 def _command(config: CarConfig) -> Iterator[str]:
     writer, largest = config.writer, config.gate.delta_sw_max
-    names = [
-        n for n in (writer.angle.signal, writer.enable, writer.clear, writer.alert, writer.counter, writer.crc) if n
-    ]
+    roles = (writer.angle.signal, writer.enable, writer.clear, writer.alert, writer.counter, writer.crc)
+    names = [name for name in roles if name]
     for name, number in Counter(names).items():
         if number > 1:
             yield f"[write] {name} has {number} roles, expected one"

@@ -432,9 +432,8 @@ def drive(
         return bool(watch and watch(run))
 
     link.note(Remark(replace(controller.steers, recovery=recovery).text()))
-    return realtime.run(
-        follow.resting, duration, timer=clock or Clock(), watch=step, on_miss=lambda run: count_misses(run, link)
-    )
+    how: Any = {"watch": step, "on_miss": lambda run: count_misses(run, link)}
+    return realtime.run(follow.resting, duration, timer=clock or Clock(), **how)
 
 
 def count_misses(run: realtime.Run, link: CarClient) -> None:

@@ -260,10 +260,8 @@ class MotionCheck:
         most[:, (0, 5)] += self._late * abs(self._rates[_WAY])
         i, k = np.nonzero(~(np.abs(left) <= most))  # of a NaN too; only where these are the bounds are worked out whole
         rows, wander = J[i, k], self._wander(span, more)[i, k]
-        beyond = ~(
-            np.abs(left[i, k])
-            <= most[i, k] + _DEVIATIONS * np.sqrt(np.einsum("ma,mab,mb->m", rows, P[i], rows) + wander)
-        )
+        spread = np.sqrt(np.einsum("ma,mab,mb->m", rows, P[i], rows) + wander)
+        beyond = ~(np.abs(left[i, k]) <= most[i, k] + _DEVIATIONS * spread)
         if not beyond.any():
             return ""
         window, kind = int(i[beyond][0]), int(k[beyond][0])
@@ -307,11 +305,8 @@ def _effects(span: Any, added: np.ndarray, before: np.ndarray, rate: Any, rate_n
     J[..., 0, SPEED] = J[..., 5, SPEED] = J[..., 1, ZERO] = J[..., 4, _ALL - 1] = way
     J[..., 1, LEVER], J[..., 1, SLIP], J[..., 2, RATE] = turn, -added[..., _SLIDE], -span
     J[..., 3, SPEED] = J[..., 3, RATIO] = turn
-    J[..., 3, WHEEL], J[..., 3, UNDERSTEER], J[..., 3, LATE] = (
-        added[..., _BY_WHEEL],
-        added[..., _BY_UNDERSTEER],
-        rate - rate_now,
-    )
+    J[..., 3, WHEEL], J[..., 3, UNDERSTEER] = added[..., _BY_WHEEL], added[..., _BY_UNDERSTEER]
+    J[..., 3, LATE] = rate - rate_now
     J[..., range(4), range(_N, _ALL)] = 1.0
     J[..., 4, _N + 1], J[..., 4, ZERO], J[..., 4, LEVER], J[..., 4, SLIP] = 1.0, way, turn, -added[..., _SLIDE]
     J[..., 4, SPEED] = J[..., 4, RATIO] = added[..., _TURNED] - before[..., _TURN] * way

@@ -183,11 +183,8 @@ class Panel:
         asked = "nothing yet" if here.asked is None else f"{degrees_of(here.asked):+.1f} deg"
         sent = f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
         who = STEERS[here.learner_steers] if s.mode is Mode.ENGAGED else ""
-        steps = (
-            timing
-            and timing.steps
-            and f"{timing.steps}, misses {timing.misses}, p99 {1e3 * timing.jitter(0.99):.2f} ms late"
-        )
+        late = f"p99 {1e3 * timing.jitter(0.99):.2f} ms late" if timing and timing.steps else ""
+        steps = late and f"{timing.steps}, misses {timing.misses}, {late}"
         rows: list[tuple[str, Any]] = [
             ("state", Text(f"{s.mode}", style=f"bold {colour}")),
             ("cause", cause),
@@ -231,9 +228,8 @@ def line_of(s: Snapshot) -> str:
 
 def witness_line(astray: float) -> str:
     """What a positioning system that lies unnoticed can do."""
-    told = (
-        "not known yet" if math.isnan(astray) else f"in {astray:.1f} s" if astray < HORIZON else f"not in {HORIZON:g} s"
-    )
+    told = f"in {astray:.1f} s" if astray < HORIZON else f"not in {HORIZON:g} s"
+    told = "not known yet" if math.isnan(astray) else told
     return f"a pose that lies unnoticed leads the car {ASTRAY:g} m off: {told}"
 
 

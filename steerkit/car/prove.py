@@ -121,9 +121,8 @@ def check(manoeuvre: Manoeuvre, config: CarConfig, path: Path, base: str = "stan
         longest = float(straight(path, manoeuvre.conditions.r_max / at).max())
         if needed > longest:
             slower = f"--speed {longest / needed * at:.2g}, or " if longest > 0.0 else ""
-            wrong.append(
-                f"it takes {needed:.0f} m straight on, the course has {longest:.0f} m: {slower}another [course]"
-            )
+            way = f"it takes {needed:.0f} m straight on, the course has {longest:.0f} m"
+            wrong.append(f"{way}: {slower}another [course]")
     require(not wrong, where, "cannot be driven with this car; " + "; ".join(wrong))
 
 

@@ -114,9 +114,8 @@ def session(options: Options) -> Iterator[Session]:
             socket = options.socket or processes.default_socket()
             if options.simulated:  # never through a car server that may have a real car at its other end
                 socket = options.socket or stack.enter_context(tempfile.TemporaryDirectory()) + "/car"
-                process, channel = processes.start_simulated(
-                    options.config, time_scale=options.time_scale, **options.simulate
-                )
+                scale = options.time_scale
+                process, channel = processes.start_simulated(options.config, time_scale=scale, **options.simulate)
                 started.append(process)
             here = Session(options, socket, channel)
             here.signals = signals
@@ -129,9 +128,8 @@ def session(options: Options) -> Iterator[Session]:
             else:
                 here.recording = ""
                 unused = f"; --recording {options.recording} is NOT written" if options.recording else ""
-                print(
-                    f"the car server at {socket} is used as it runs, with its own configuration and recording{unused}"
-                )
+                own = f"with its own configuration and recording{unused}"
+                print(f"the car server at {socket} is used as it runs, {own}")
             here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))
             here.watched = Watched(here.config, here.link.note)
             if options.realtime:

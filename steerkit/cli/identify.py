@@ -122,9 +122,7 @@ def identify(
         print(json.dumps(answer))
 
 
-def _report(
-    console: Any, identified: Any, prediction: Any, ahead: Any, grip: Any, residual: Any, *, quiet: bool
-) -> None:
+def _report(console: Any, identified: Any, prediction: Any, ahead: Any, grip: Any, residual: Any, quiet: bool) -> None:
     if not quiet:
         for part in (identified.fit, *([prediction] if prediction else ())):
             for note in part.drive.notes:
@@ -233,9 +231,8 @@ def _compare(console: Any, driven: list[Any]) -> None:
     ):
         table.add_row(text, "", *(f"{row[key]:.2f}" for row in rows))
     console.print(table)
-    places = Table(
-        "controller", "t (s)", "v (m/s)", "driven (deg)", "again (deg)", "differs (deg)", title="Most otherwise"
-    )
+    head = ("controller", "t (s)", "v (m/s)", "driven (deg)", "again (deg)", "differs (deg)")
+    places = Table(*head, title="Most otherwise")
     for row in rows:
         for p in row["places"]:
             numbers = (p["t"], p["v"], p["driven_deg"], p["again_deg"], p["differs_deg"])

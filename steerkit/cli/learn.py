@@ -114,10 +114,8 @@ def learn(
         return
     experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
-    place = (
-        out
-        or Path("runs") / f"{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
-    )
+    driven = shared.driven_on(experiment.scenario, options.conditions)
+    place = out or Path("runs") / f"{name}-{driven}-seed{experiment.seed}"
     console.stderr = options.as_json
     signals = (*SIGNALS, *SAFETY_SIGNALS * experiment.setting.safe)
     with shared.streamed(stream, signals=signals) as each:
@@ -131,9 +129,8 @@ def learn(
         except OSError as error:
             begun = (place / "run.json").exists()
             kept = f"the run is kept up to its last training; the same with --out {place} goes on from there"
-            error.add_note(
-                kept if begun else f"nothing was learned: --out {place} cannot be written; give another directory"
-            )
+            lost = f"nothing was learned: --out {place} cannot be written; give another directory"
+            error.add_note(kept if begun else lost)
             raise
         report.show(place, quiet=options.quiet)
     if options.as_json:
@@ -169,10 +166,8 @@ def _from_log(
         for note in (*drive.notes, *filter(None, [assumed])):
             console.print(note, soft_wrap=True, highlight=False, markup=False)
     name = Path(files[0]).name.partition(".")[0]
-    place = (
-        out
-        or Path("runs") / f"from-{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{options.seed}"
-    )
+    driven = shared.driven_on(experiment.scenario, options.conditions)
+    place = out or Path("runs") / f"from-{name}-{driven}-seed{options.seed}"
     with Progress(console=console, disable=options.quiet or not console.is_terminal) as bar:
         task = bar.add_task("updates", total=updates)
         run = from_log(

@@ -45,9 +45,8 @@ def courses(
         _of_file(file, to, plot, vehicle, as_json)
         return
     if to is not None or plot is not None:
-        raise ValueError(
-            "--to and --plot make something of a map's file; name it: steerkit courses lap.gpx --to lap.csv"
-        )
+        name = "name it: steerkit courses lap.gpx --to lap.csv"
+        raise ValueError(f"--to and --plot make something of a map's file; {name}")
     rows = [_of_path(name, course(name)) for name in names()]
     if as_json:
         print(json.dumps({"courses": rows, "also": _ALSO}))
@@ -102,11 +101,8 @@ def _list(found: importers.Map, file: str, as_json: bool) -> None:
         pieces = [found.pieces[name] for name in parts]
         lanes = list(dict.fromkeys(piece.lane for piece in pieces))
         after = {found.pieces[name].group for piece in pieces for name in piece.next if name in found.pieces} - {group}
-        row: dict[str, Any] = {
-            found.kind: group,
-            "length_m": found.length_of(group),
-            "lanes": [lane for lane in lanes if lane],
-        }
+        named = [lane for lane in lanes if lane]
+        row: dict[str, Any] = {found.kind: group, "length_m": found.length_of(group), "lanes": named}
         rows.append(row | {"leads_to": sorted(after), "about": " ".join(dict.fromkeys(p.about for p in pieces))})
     notes = [*found.notes, *found.left_out]
     if as_json:

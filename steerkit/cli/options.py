@@ -190,9 +190,8 @@ def scenario_of(ctx: typer.Context, base: Scenario | None = None) -> Scenario:
     if base is None:
         return Scenario.under(options["conditions"], **changes)
     if "conditions" in names:
-        base = base.with_(sensors=_UNDISTURBED).with_(
-            **CONDITIONS[known(options["conditions"], CONDITIONS, "conditions")]
-        )
+        disturbed = CONDITIONS[known(options["conditions"], CONDITIONS, "conditions")]
+        base = base.with_(sensors=_UNDISTURBED).with_(**disturbed)
     if "vehicle" in names:  # its file's [steering] comes with it
         base = base.with_(vehicle=changes["vehicle"])
         base = base.with_(steering=base.vehicle.steering_in_file())

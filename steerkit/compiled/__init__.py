@@ -44,9 +44,8 @@ class NativeProgram:
         inputs = {number: len(arguments) for _, number, _, *arguments in calls}
         self._errors: list[BaseException] = []
         self._callbacks = [self._callback(routine, inputs[i]) for i, routine in enumerate(trace.routines)]
-        addresses = [
-            address for each in self._callbacks for address in (ctypes.cast(each, ctypes.c_void_p).value, None)
-        ]
+        starts = [ctypes.cast(each, ctypes.c_void_p).value for each in self._callbacks]
+        addresses = [address for start in starts for address in (start, None)]
         self._routines = (ctypes.c_void_p * max(1, len(addresses)))(*addresses)
 
     def _callback(self, routine: Routine, inputs: int) -> Any:

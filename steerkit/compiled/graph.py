@@ -236,6 +236,5 @@ for _name, _op in {"radd": "add", "rsub": "sub", "rmul": "mul", "rtruediv": "div
 for _name in ("neg", "abs"):
     setattr(Symbol, f"__{_name}__", lambda a, op=_name: _of(op, a))
 _NAMES = {"fabs": "abs", "if_else": "select", "logic_and": "and", "logic_or": "or", **dict(zip(FUNCTIONS, FUNCTIONS))}
-Symbol.functions = SimpleNamespace(
-    row=_row, call=_call, **{name: functools.partial(_of, op) for name, op in _NAMES.items()}
-)
+_BOUND = {name: functools.partial(_of, op) for name, op in _NAMES.items()}
+Symbol.functions = SimpleNamespace(row=_row, call=_call, **_BOUND)

@@ -49,9 +49,8 @@ class Layout:
     def pack(self, x: Sequence[Any], y: Sequence[Any]) -> list[Any]:
         """The numbers (or arrays, or symbols) of a state in slot order."""
         held = zip(self.signals.values(), [value for values in y for value in values])
-        return [v for state in x for v in state] + [
-            v for (_, size), value in held for v in ([value] if size is None else value)
-        ]
+        values = [v for (_, size), value in held for v in ([value] if size is None else value)]
+        return [v for state in x for v in state] + values
 
     def unpack(self, values: Sequence[Any]) -> tuple[list[Any], list[Any]]:
         """States and outputs, shaped as in the loop, from numbers in slot order."""
@@ -115,10 +114,10 @@ class Trace:
     def instructions(self) -> int:
         """Operations in one period."""
         free = ("const", "in", "row", "result")
-        counts = [
-            len(phases) * sum(tick.graph.nodes[i][0] not in free for i in tick.graph.order(tick.roots))
-            for tick, phases in self.kinds
+        needed = [
+            (len(phases), [tick.graph.nodes[i][0] for i in tick.graph.order(tick.roots)]) for tick, phases in self.kinds
         ]
+        counts = [many * sum(op not in free for op in ops) for many, ops in needed]
         return sum(counts)
 
 

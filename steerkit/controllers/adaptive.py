@@ -144,9 +144,8 @@ class Adaptive(Block):
         due = own.since >= _EVERY
         if due is not False:
             y = self.delay.output(t, state, ())
-            read = own._replace(
-                delay_lag=y.delay_lag, deviation=y.delay_lag_deviation, valid=y.delay_lag_valid, since=0.0
-            )
+            read = own._replace(delay_lag=y.delay_lag, deviation=y.delay_lag_deviation)
+            read = read._replace(valid=y.delay_lag_valid, since=0.0)
             own = _Own(*[m.where(due, now, old) for now, old in zip(read, own)])
         return own._replace(since=own.since + 1.0)
 
@@ -181,10 +180,8 @@ class Adaptive(Block):
         own = self._read(t, _own(x), states[-2])
         standby, ratio = own.standby, own.ratio
         sheet = y._replace(delta_sw=y.delta_sw / ratio)
-        after = [
-            block.update(t, state, self._seen(block, block.U, u, ratio), sheet)
-            for block, state in zip(self.blocks, states)
-        ]
+        pairs = zip(self.blocks, states)
+        after = [block.update(t, x, self._seen(block, block.U, u, ratio), sheet) for block, x in pairs]
         known = self.steering.output(t, states[-1], ())
         sent = u.doe if self.takes_turns else y.delta_sw
         after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - standby, u.r, u.v), ()))

@@ -96,9 +96,8 @@ def linearised(block: Block, v: float) -> Law:
     at_rest = [np.broadcast_to(entry, still.shape) for entry in block.init((1,))]
     x = make(tuple([entry + step for entry, step in zip(at_rest, steps[:n])]))
     y = block.output(0.0, x, seen(block.D))
-    after = [
-        np.broadcast_to(np.asarray(entry, dtype=float), still.shape) for entry in block.update(0.0, x, seen(block.U), y)
-    ]
+    moved = [np.asarray(entry, dtype=float) for entry in block.update(0.0, x, seen(block.U), y)]
+    after = [np.broadcast_to(entry, still.shape) for entry in moved]
     rows = np.array([*after, np.broadcast_to(y.delta_sw, still.shape)])
     slopes = (rows[:, 0::2] - rows[:, 1::2]) / (2.0 * _SMALL)
     return Law(slopes[:n, :n], slopes[:n, n:], slopes[n, :n], slopes[n, n:], inputs)

@@ -128,9 +128,8 @@ class Block:
             raise TypeError(f"{cls.__name__}: {what}: {', '.join(valid)}")
         for name in kwargs:
             if name not in valid:
-                raise TypeError(
-                    f"{cls.__name__} has no parameter '{name}'{nearest(name, valid)}; parameters: {', '.join(valid)}"
-                )
+                near = f"{nearest(name, valid)}; parameters: {', '.join(valid)}"
+                raise TypeError(f"{cls.__name__} has no parameter '{name}'{near}")
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
@@ -176,9 +175,8 @@ class Block:
 
     def __repr__(self) -> str:
         """Its parameters in a line or two, however many numbers they hold."""
-        values = (
-            f"{field.name}={_brief(getattr(self, field.name))}" for field in dataclasses.fields(self) if field.repr
-        )
+        shown = [field.name for field in dataclasses.fields(self) if field.repr]
+        values = (f"{name}={_brief(getattr(self, name))}" for name in shown)
         return f"{type(self).__name__}({', '.join(values)})"
 
     if not TYPE_CHECKING:  # a checker should see unknown names as errors

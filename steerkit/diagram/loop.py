@@ -493,9 +493,8 @@ class Loop:
         for out, value in zip(block.outputs, y):
             independent = out.direct is not None and not unknown & {p.name for p in out.direct}
             if unknown and independent and not m.is_symbol(value) and np.isnan(np.asarray(value, dtype=float)).any():
-                raise WiringError(
-                    f"{name}.{out.name} is declared independent of {', '.join(sorted(unknown))}, but is NaN without it"
-                )
+                known = ", ".join(sorted(unknown))
+                raise WiringError(f"{name}.{out.name} is declared independent of {known}, but is NaN without it")
 
 
 def _same(a: Any, b: Any) -> bool:

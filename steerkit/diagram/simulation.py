@@ -109,10 +109,8 @@ class Log(Mapping[str, np.ndarray]):
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        fields = [
-            pa.field(name, pa.from_numpy_dtype(values.dtype), metadata={"unit": unit})
-            for (name, unit), values in columns.items()
-        ]
+        kinds = {name: pa.from_numpy_dtype(values.dtype) for (name, _), values in columns.items()}
+        fields = [pa.field(name, kinds[name], metadata={"unit": unit}) for name, unit in columns]
         with atomic_write(file) as draft:
             return pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), draft)
 

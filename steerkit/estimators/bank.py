@@ -181,13 +181,6 @@ class Bank(Block):
         """What is measured, as an angle [rad]; its weight [1/rad^2]; could it be read?"""
         raise NotImplementedError
 
-    def _found(self, x: State) -> State:
-        """All outputs."""
-        raise NotImplementedError
-
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(*self._found(x))
-
     def _summed(
         self, sums: Sums, moments: State, rows: Sequence[Sequence[Scalar]], measured: Sequence[Scalar], used: Scalar
     ) -> tuple[Sums, list[Scalar]]:

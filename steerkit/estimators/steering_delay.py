@@ -161,6 +161,7 @@ class DelayBank(Bank):
         return 0.0
 
     def _found(self, x: State) -> State:
+        """All outputs."""
         dt, n, precision = self.dt, self._line, (_GAIN, _SHARE, 1.0 / self.prior_lag_deviation**2)
         sums, before = Sums._make(x[:4]), _Before._make(x[4:_FIRST])
         moments = x[_FIRST + 3 * n : _FIRST + (3 + MOMENTS) * n]
@@ -209,6 +210,9 @@ class WheelDelay(OfWheel, DelayBank):
     to them; missing [1].
     """
 
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(*self._found(x))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class YawDelay(OfYawRate, DelayBank):
@@ -225,6 +229,9 @@ class YawDelay(OfYawRate, DelayBank):
     yaw_unknown: float = number(0.15, "1", low=0.0, high=1.0)
     """Standard deviation of the car's own delay, as a share of the data sheet's: mostly of the tyres' stiffness [1]."""
     play_share: ClassVar[float] = 0.5
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(*self._found(x))
 
     def _car_unknown(self, speed: Scalar) -> Scalar:
         return self.yaw_unknown * yaw_delay(self.vehicle, speed)

@@ -635,11 +635,8 @@ class VehicleState(Block):
         mean, p = kalman.corrected(mean, p, _X_SUM, missed_x, noise, used)
         mean, p = kalman.corrected(mean, p, _Y_SUM, y - mean[Y] - mean[D_Y], noise, used)
         unseen = m.where(used, 0.0, memory.unseen + self.dt)
-        return (
-            mean,
-            p,
-            Memory._make((unseen, wait, *waits, *means, memory.wheel, memory.held, rejected, 0.0, nis, count)),
-        )
+        kept = (unseen, wait, *waits, *means, memory.wheel, memory.held, rejected, 0.0, nis, count)
+        return mean, p, Memory._make(kept)
 
     def _judged(self, square: Scalar, here: Scalar, wait: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         """Is a measurement used; is it, as it has been off for long; and for how long it is now."""

@@ -92,9 +92,8 @@ def _fed(block: Block) -> Loop:
     speeds = [unit == "m/s" for unit in units.values()]
     rows[:, speeds] = np.abs(rows[:, speeds])
     made_up = _external(units, block.dt, rows.tolist())
-    return Loop(
-        blocks={"made_up": made_up, "block": block}, wires=[(getattr(made_up, n), getattr(block, n)) for n in units]
-    )
+    wires = [(getattr(made_up, name), getattr(block, name)) for name in units]
+    return Loop(blocks={"made_up": made_up, "block": block}, wires=wires)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,9 +113,8 @@ class _Part:
         for name in names:
             known(name, loop.names, "block of the loop")
         chosen = {n: loop.blocks[n] for n in loop.names if n in names}
-        sources = {
-            loop.port_name(a): a for a, b in loop.wires if b.block in chosen.values() and a.block not in chosen.values()
-        }
+        own = [*chosen.values()]
+        sources = {loop.port_name(a): a for a, b in loop.wires if b.block in own and a.block not in own}
         for signal, port in sources.items():
             if port.size is not None:
                 raise TraceError(f"export_c: {signal} is a vector; export {signal.split('.')[0]} along with the others")
@@ -171,12 +169,8 @@ class _Part:
     def header(self, name: str) -> str:
         """The text of <name>.h."""
         guard = f"{name.upper()}_H"
-        lines = [
-            f"/* {name}: made by steerkit's export_c; SI units and radians. */",
-            f"#ifndef {guard}",
-            f"#define {guard}",
-            "",
-        ]
+        made = f"/* {name}: made by steerkit's export_c; SI units and radians. */"
+        lines = [made, f"#ifndef {guard}", f"#define {guard}", ""]
         lines.append(f"#define {name.upper()}_DT {c_number(self.trace.loop.dt)} /* [s] */")
         for block_name, block in self.trace.loop.blocks.items():
             if block_name != "inputs":

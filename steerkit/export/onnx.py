@@ -81,9 +81,8 @@ def _nfq(graph: "_Graph", policy: NfqPolicy) -> tuple[str, str]:
     order, d = sorted(policy.actions, key=abs), policy.description  # of equal values the gentlest action's comes first
     state, excess = "state", None
     if d.scaled_from < math.inf:  # see StateDescription.scaled
-        v, e_dot, psi_e = (
-            graph.op("Gather", state, graph.whole(COLUMNS.index(name)), axis=1) for name in ("v", "e_dot", "psi_e")
-        )
+        places = [graph.whole(COLUMNS.index(name)) for name in ("v", "e_dot", "psi_e")]
+        v, e_dot, psi_e = (graph.op("Gather", state, place, axis=1) for place in places)
         excess = graph.op("Max", graph.op("Div", v, graph.number(d.scaled_from)), graph.number(1.0))
         turning = graph.op("Sub", graph.op("Div", e_dot, graph.op("Max", v, graph.number(d.scaled_from))), psi_e)
         more = graph.op("Mul", turning, graph.op("Sub", graph.op("Mul", excess, excess), excess))

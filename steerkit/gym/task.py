@@ -62,20 +62,14 @@ class Starts:
     @cached_property
     def last(self) -> float:
         """The largest s at which an episode starts [m]."""
-        return (
-            self.task.path.length
-            if self.task.path.closed
-            else max(0.0, self.task.path.length - END_MARGIN - LEAST_ROOM)
-        )
+        length = self.task.path.length
+        return length if self.task.path.closed else max(0.0, length - END_MARGIN - LEAST_ROOM)
 
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Draw:
         """The start of an episode; `options` s [m], e [m], psi_e [rad] stand for what is drawn otherwise."""
         given = dict(options or {})
-        valid = {
-            "s": ("m", 0.0, self.task.path.length),
-            "e": ("m", -self.task.limit, self.task.limit),
-            "psi_e": ("rad", -1.6, 1.6),
-        }
+        length, limit = self.task.path.length, self.task.limit
+        valid = {"s": ("m", 0.0, length), "e": ("m", -limit, limit), "psi_e": ("rad", -1.6, 1.6)}
         where = "TrackSteering.reset"
         for name, value in given.items():
             require_within(where, name, value, *valid[known(name, valid, f"{where}: option")])
@@ -282,9 +276,8 @@ class Task:
         plain = (self.course, self.vehicle, self.conditions) == ("paper", "vw-passat", "clean")
         words = "course, vehicle and conditions belong to the scenario; give them inside `scenario`, or no scenario"
         require(self.scenario is None or plain, where, words)
-        known_place = (
-            f"scenario {self.scenario!r:.60}, expected a Scenario, a dictionary of its fields, or its TOML file"
-        )
+        expected = "expected a Scenario, a dictionary of its fields, or its TOML file"
+        known_place = f"scenario {self.scenario!r:.60}, {expected}"
         require(isinstance(self.place, Scenario), where, known_place)
         require(isinstance(self.safe, bool | Mapping), where, f"safe {self.safe!r}; valid: False, True, or its fields")
         for name in self.safe if isinstance(self.safe, Mapping) else ():

@@ -187,9 +187,10 @@ class Identified:
             "fit_rms": round(self.fit.rms, 6),
         }
         if held_out is not None:
+            other = held_out.drive
             provenance |= {
-                "held_out": held_out.drive.name,
-                "held_out_sha256": held_out.drive.digest,
+                "held_out": other.name,
+                "held_out_sha256": other.digest,
                 "held_out_rms": round(held_out.rms, 6),
             }
         provenance |= {"command": command} if command else {}
@@ -223,11 +224,8 @@ class Identified:
         found = {"log": list[str](), "log and prior": list[str](), "prior": list[str]()}
         for e in self.estimates:
             if e.source in found:
-                interval = (
-                    f" {e.value:.4g} [{e.low:.4g}, {e.high:.4g}] {e.unit.removeprefix('1')}"
-                    if e.source != "prior"
-                    else ""
-                )
+                ends = f" {e.value:.4g} [{e.low:.4g}, {e.high:.4g}] {e.unit.removeprefix('1')}"
+                interval = ends if e.source != "prior" else ""
                 found[e.source].append(f"{e.name}{interval}".strip())
         size = float(np.sqrt(np.mean(self.drive.r[self.drive.driving] ** 2)))
         share = f"{self.fit.rms_driving:.4f} rad/s RMS, {100.0 * self.fit.rms_driving / size:.1f} % of the yaw rate's"
@@ -451,9 +449,8 @@ class _Problem:
             def jac(x: Array, weight: float = weight) -> Array:
                 return np.vstack((self.linearised(x)[1] * weight, np.diag(1.0 / self.deviation)))
 
-            solution = least_squares(
-                fun, theta, jac, bounds=(self.low, self.high), x_scale=self.deviation, xtol=1e-9, ftol=1e-9
-            )
+            how: Any = {"bounds": (self.low, self.high), "x_scale": self.deviation, "xtol": 1e-9, "ftol": 1e-9}
+            solution = least_squares(fun, theta, jac, **how)
             theta = solution.x
             error = self.linearised(theta)[0]
             correlation = dt * (2.0 * float(np.sum(self._autocorrelation(error))) - 1.0)
@@ -481,9 +478,8 @@ class _Problem:
         error, slopes = self.linearised(theta)
         for i in np.flatnonzero((theta <= self.low) | (theta >= self.high)):
             # at a bound the tangent may be flat (a lag of 0): the secant to half a prior deviation inside shows more
-            inside = np.where(
-                np.arange(len(theta)) == i, theta + 0.5 * self.deviation * np.sign(self.mean - theta), theta
-            )
+            nearer = theta + 0.5 * self.deviation * np.sign(self.mean - theta)
+            inside = np.where(np.arange(len(theta)) == i, nearer, theta)
             slopes = slopes.copy()
             slopes[:, i] = (self.linearised(inside)[0] - error) / (inside[i] - theta[i])
         prior = np.diag(self.deviation**-2.0)
@@ -543,10 +539,8 @@ class _Problem:
             deviation = max(both)
             steady = True
             if parts and prior > 0.0:
-                apart, weights = (
-                    np.array([g @ moved for moved, _ in parts]),
-                    np.array([1.0 / (g @ c @ g) for _, c in parts]),
-                )
+                apart = np.array([g @ moved for moved, _ in parts])
+                weights = np.array([1.0 / (g @ c @ g) for _, c in parts])
                 apart -= weights @ apart / weights.sum()
                 excess = float(weights @ apart**2) - (len(parts) - 1)
                 between = max(0.0, excess) / float(weights.sum() - weights @ weights / weights.sum())

@@ -122,9 +122,8 @@ class Tyres:
         if v_y is not None and drive.v_y is None:
             arm = arm_of(drive, rate, v_y - slides * rate)
         v_x = forward(drive, v_y)
-        return Scene(
-            drive.dt, v_x, _delta(drive, self.theta), np.stack((side - arm * rate, rate)), v_y is not None, arm
-        )
+        motion = np.stack((side - arm * rate, rate))
+        return Scene(drive.dt, v_x, _delta(drive, self.theta), motion, v_y is not None, arm)
 
     def ahead(self, scene: Scene, starts: NDArray[np.intp], n: int, slopes: Slopes | None = None) -> Array:
         """(v_y, r) (2, n + 1, N) from the measured starts on, v_x staying what it is; slopes: others than its own."""
@@ -185,9 +184,8 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
                 unknown.append(name)
         value, low, high = map(float, ends)
         rows.append(Estimate(name, value, low, high, table[name].unit, learned, note))
-    notes = [f"{', '.join(unknown)}: not determined, slip stays in the tyres' linear range; drive harder"] * bool(
-        unknown
-    )
+    linear = "not determined, slip stays in the tyres' linear range; drive harder"
+    notes = [f"{', '.join(unknown)}: {linear}"] * bool(unknown)
     if v_y is None:
         notes.append("v_y is not in the log: front and rear are told apart by the yaw rate alone")
     rows += _drivetrain(drive, base, theta, notes)
@@ -207,10 +205,8 @@ def _drivetrain(drive: Drive, base: Vehicle, theta: Mapping[str, float], notes: 
     v = uniform_filter1d(drive.v, max(1, round(0.2 / drive.dt)))
     bend = v * drive.r * _delta(drive, theta) * base.l_r / base.wheelbase
     ways = [cumulative_trapezoid(a, dx=drive.dt, initial=0.0)[::n] for a in (u, -np.ones(len(v)), -(v**2), bend)]
-    use = (
-        np.isfinite(sum(map(np.diff, ways)))
-        & (np.convolve(drive.driving, np.ones(n + 1), "valid")[::n] > n)[: len(ways[0]) - 1]
-    )
+    driven = np.convolve(drive.driving, np.ones(n + 1), "valid")[::n] > n
+    use = np.isfinite(sum(map(np.diff, ways))) & driven[: len(ways[0]) - 1]
     a, b = np.diff(ways[:3]).T[use], (np.diff(v[::n]) + np.diff(ways[3]))[use]
     prior = np.diag([deviation**-2.0 for _, deviation in _PEDAL.values()])
     found, covariance = np.zeros(3), np.diag([deviation**2.0 for _, deviation in _PEDAL.values()])
@@ -302,12 +298,10 @@ class _Pieces:
         """Measured less simulated (2, n + 1, N, M) for coordinates (p, M) and starts (2, N, M)."""
         theta = self.named(x)
         delta = np.stack([_delta(self.drive, self.named(one))[self.at] for one in x.T], axis=-1)
-        way = rolled(
-            lambda t, *state: accelerations(self.base, theta, *state), self.drive.dt, self.v_x[..., None], delta, starts
-        )
-        said = np.stack(
-            (way[0] + theta["arm"] * way[1] + theta["slip_zero"] * self.v_x[..., None], way[1] + theta["rate_zero"])
-        )
+        slopes = lambda t, *state: accelerations(self.base, theta, *state)  # noqa: E731
+        way = rolled(slopes, self.drive.dt, self.v_x[..., None], delta, starts)
+        aside = way[0] + theta["arm"] * way[1] + theta["slip_zero"] * self.v_x[..., None]
+        said = np.stack((aside, way[1] + theta["rate_zero"]))
         return np.where(self.known[..., None], self.measured[..., None] - said, 0.0)
 
     def linearised(self, x: Array, starts: Array) -> tuple[Array, Array, Array]:
@@ -420,9 +414,8 @@ def features(before: Array, v_x: Any, delta: Any, v_y: Any, r: Any) -> Array:
 
     before: the errors (2, ...) with which the last half second ended, v_y [m/s] and r [rad/s].
     """
-    return np.stack(
-        [before[0] + 0.0 * r, before[1] + 0.0 * r, v_y, r, delta, v_x * r, v_x * delta, abs(v_x * r) * delta]
-    )
+    bend, turn = v_x * r, v_x * delta
+    return np.stack([before[0] + 0.0 * r, before[1] + 0.0 * r, v_y, r, delta, bend, turn, abs(bend) * delta])
 
 
 def missed(tyres: Tyres, scene: Scene, starts: NDArray[np.intp]) -> Array:
@@ -540,9 +533,8 @@ def _effects(tyres: Tyres, scene: Scene, starts: NDArray[np.intp], way: Array, b
         slopes = partial(tyres.slopes, t, v_x, delta[j])
         v_y, r = way[:, j]
         here = np.array(slopes(v_y, r))
-        tangent = np.stack(
-            (np.array(slopes(v_y + _NUDGE, r)) - here, np.array(slopes(v_y, r + _NUDGE)) - here), axis=-1
-        )
+        moved_on = (slopes(v_y + _NUDGE, r), slopes(v_y, r + _NUDGE))
+        tangent = np.stack([np.array(one) - here for one in moved_on], axis=-1)
         pushed = moved[-1].copy()
         rows = scene.dt * features(before * math.exp(-t / LASTS), v_x, delta[j], v_y, r).T
         pushed[:, 0, :k] += rows

@@ -197,9 +197,8 @@ def _channels(table: Table, time: Column | None, where: str) -> Iterable[Channel
             unit, means = table.units.get(name, ""), table.means.get(name, "")
             held = np.isfinite(numbers)
             own = table.t is None and 0.0 < held.mean() < _SPARSE  # signals on rows of their own
-            yield Channel(
-                name=name, t=t[held] if own else t, values=numbers[held] if own else numbers, unit=unit, means=means
-            )
+            t_own, numbers = (t[held], numbers[held]) if own else (t, numbers)
+            yield Channel(name=name, t=t_own, values=numbers, unit=unit, means=means)
 
 
 def _clock(table: Table, time: Column | None, where: str) -> str:

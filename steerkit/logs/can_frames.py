@@ -177,9 +177,8 @@ def _opendbc(name: str) -> str:
     try:
         import opendbc
     except ImportError:
-        raise ValueError(
-            f"--dbc {name}: no such file; names without .dbc are those of the package opendbc, which is not installed"
-        ) from None
+        needed = "names without .dbc are those of the package opendbc, which is not installed"
+        raise ValueError(f"--dbc {name}: no such file; {needed}") from None
     folder, made = Path(opendbc.DBC_PATH), opendbc.get_generated_dbcs()
     names = sorted({*made, *(file.stem for file in folder.glob("*.dbc"))})
     known(name, names, "--dbc")

@@ -325,9 +325,8 @@ def _whole_rows(columns: dict[str, Array], name: str, remarks: list[str]) -> dic
             )
         _keep(columns, order)
         reverse = back > 0.9 * (len(t) - 1)
-        how = (
-            "turned round, as its time falls from row to row" if reverse else f"sorted by time: {back} times a row was"
-        )
+        sorted_ = f"sorted by time: {back} times a row was"
+        how = "turned round, as its time falls from row to row" if reverse else sorted_
         remarks.append(how if reverse else f"{how} earlier than the one before")
     new = np.concatenate(([True], np.diff(columns["t"]) > 0.0))
     if not new.all():
@@ -522,11 +521,8 @@ def _check_plausible(drive: Drive) -> None:
     flip = -1.0 if slope < 0.0 else 1.0
     turned = "one of delta_sw and r has the wrong sign (scale = -1)"
     fits = [turned] if 20.0 <= -slope <= 90.0 else []
-    fits += [
-        cause + (f", and {turned}" if flip < 0.0 else "")
-        for cause, factor in causes.items()
-        if 20.0 <= flip * slope * factor <= 90.0
-    ]
+    likely_ones = [cause for cause, factor in causes.items() if 20.0 <= flip * slope * factor <= 90.0]
+    fits += [cause + (f", and {turned}" if flip < 0.0 else "") for cause in likely_ones]
     likely = f"; perhaps {'; or '.join(fits)}" if fits else ""
     raise ValueError(
         f"{drive.name}: delta_sw/curvature is {slope:.4g} m, a road car has {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} m "

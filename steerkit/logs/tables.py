@@ -78,9 +78,8 @@ def with_units(columns: Columns) -> Table:
     parts = {name: parted(name) for name in columns}
     distinct = len({bare for bare, _ in parts.values()}) == len(columns)
     parts = {name: (bare if distinct else name, unit) for name, (bare, unit) in parts.items()}
-    return Table(
-        columns={parts[name][0]: values for name, values in columns.items()}, units=dict(filter(all, parts.values()))
-    )
+    bare = {parts[name][0]: values for name, values in columns.items()}
+    return Table(columns=bare, units=dict(filter(all, parts.values())))
 
 
 def read_mat(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
@@ -177,9 +176,8 @@ def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     for name, points in series.items():
         t, values = np.array(points).T
         means = {name: _MEANS[name]} if name in _MEANS else {}
-        tables.append(
-            Table(columns={name: values}, units={known: DIMENSION[known] for known in means}, means=means, t=t)
-        )
+        units = {known: DIMENSION[known] for known in means}
+        tables.append(Table(columns={name: values}, units=units, means=means, t=t))
     return tables
 
 

@@ -83,11 +83,8 @@ def _named(names: list[str], where: str) -> list[tuple[str, float]]:
     called = ["s" if bare.lower() == "s_m" else bare.lower() for bare, _ in parts]
     meant = [""] * len(names)
     for quantity, short in _CALLED.items():
-        found = [
-            (called[k] != short, at, k)
-            for k, (bare, _) in enumerate(parts)
-            if (at := place(quantity, bare)) is not None
-        ]
+        places = [(k, place(quantity, bare)) for k, (bare, _) in enumerate(parts)]
+        found = [(called[k] != short, at, k) for k, at in places if at is not None]
         if found:
             *_, k = min(found)
             called[k], meant[k] = short, quantity
@@ -189,9 +186,8 @@ def check_gps(lat: Array, lon: Array, where: str) -> None:
     if wrong.size:
         k = wrong[0]
         swapped = "; swapped?" if np.abs(lat).max() <= 180.0 and np.abs(lon).max() <= 90.0 else ""
-        raise ValueError(
-            f"{where}: position {k}: lat {lat[k]:g}, lon {lon[k]:g} [degrees], expected -90..90 and -180..180{swapped}"
-        )
+        at = f"position {k}: lat {lat[k]:g}, lon {lon[k]:g} [degrees]"
+        raise ValueError(f"{where}: {at}, expected -90..90 and -180..180{swapped}")
     if np.abs(lat).max() <= math.pi / 2.0 and np.abs(lon).max() <= math.pi:  # open sea, if they were degrees
         raise ValueError(f"{where}: lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
 
@@ -245,9 +241,8 @@ def stray_ends(
         left = steps[::way][:2] - 30.0 > FASTEST * late
         if (step > most and not ahead) or (left[0] and not left[1]):
             where = f"({a[end]:g}, {b[end]:g}) [{'m' if flat else 'degrees'}]"
-            found[end] = (
-                f"{where} lies {step:.0f} m from the {'next' if way > 0 else 'last'} position, as no car drives"
-            )
+            beside = "next" if way > 0 else "last"
+            found[end] = f"{where} lies {step:.0f} m from the {beside} position, as no car drives"
     return found
 
 

@@ -58,9 +58,6 @@ class DelayedSteering(Block):
     def _follow(self) -> Scalar:
         return lag_share(self.dt, self.lag)
 
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(x[0], x[1])
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SteeringActuator(DelayedSteering):
@@ -80,6 +77,9 @@ class SteeringActuator(DelayedSteering):
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return (m.filled(0.0, batch),) * (2 + self.waiting)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(x[0], x[1])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         delta_sw, _, *pending = x
@@ -146,6 +146,9 @@ class TorqueSteering(DelayedSteering):
         """The state of a car that has been turning with this angle [rad] at this speed [m/s] for long."""
         a = m.tan(delta_sw / self.steer_ratio) / self._per_a(v)
         return (delta_sw, 0.0 * delta_sw, a, *(a,) * self.waiting)
+
+    def output(self, t: Any, x: State, u: Any) -> Any:
+        return self.Y(x[0], x[1])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         delta_sw, _, a, *pending = x

@@ -284,11 +284,8 @@ def _interval(result: Result) -> str:
 def _said(result: Result) -> str:
     """Value, interval, and in degrees."""
     interval = _interval(result)
-    more = (
-        "no interval" if interval == "none" else f"95 % interval {interval}",
-        _beside(result.value, result.unit),
-        result.note,
-    )
+    said = "no interval" if interval == "none" else f"95 % interval {interval}"
+    more = (said, _beside(result.value, result.unit), result.note)
     return f"{_with_unit(result.value, result.unit)} ({'; '.join(filter(None, more))})"
 
 

@@ -46,12 +46,8 @@ def _word(*valid: str) -> Any:
     return field(default=valid[0], metadata={"valid": valid})
 
 
-_KINDS: Mapping[Any, str] = {
-    str: "text",
-    str | None: "text, or nothing",
-    bool: "true or false",
-    bool | None: "true or false, or nothing",
-}
+_KINDS: Mapping[Any, str] = {str: "text", str | None: "text, or nothing", bool: "true or false"}
+_KINDS = {**_KINDS, bool | None: "true or false, or nothing"}
 """What a field of that annotation holds, and how it is called in an error."""
 
 
@@ -344,9 +340,8 @@ class Steering(Part):
         """Friction and free play between motor and road wheels; None for a rigid column."""
         if (self.friction_deg, self.play_deg, self.wheel_zero_deg) == (0.0, 0.0, 0.0):
             return None
-        return SteeringColumn(
-            friction=radians_of(self.friction_deg), play=radians_of(self.play_deg), zero=radians_of(self.wheel_zero_deg)
-        )
+        friction, play, zero = map(radians_of, (self.friction_deg, self.play_deg, self.wheel_zero_deg))
+        return SteeringColumn(friction=friction, play=play, zero=zero)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -447,9 +442,8 @@ class Knowledge(Part):
     """The lag that they believe [s]; None: the true one."""
 
 
-PARTS: Mapping[str, type[Part]] = {
-    part.table: part for part in (Course, Car, Driver, Steering, Sensing, Disturbances, Knowledge)
-}
+_ALL = (Course, Car, Driver, Steering, Sensing, Disturbances, Knowledge)
+PARTS: Mapping[str, type[Part]] = {part.table: part for part in _ALL}
 """The parts of a scenario by the names of their tables."""
 
 

@@ -108,9 +108,8 @@ def require_vehicle(vehicle: object, where: str) -> None:
 def _commonroad(name: str, m: float, i_z: float, l_f: float, l_r: float) -> Vehicle:
     """A car of CommonRoad with c_f = mu C m g l_r/L, c_r = mu C m g l_f/L; mu C = 21.92, the tyre's p_ky1."""
     per_metre = 21.92 * m * G / (l_f + l_r)
-    return Vehicle(
-        name=name, m=m, i_z=i_z, l_f=l_f, l_r=l_r, c_f=per_metre * l_r, c_r=per_metre * l_f, mu=1.0489, steer_ratio=16.0
-    )
+    tyres: Any = {"c_f": per_metre * l_r, "c_r": per_metre * l_f, "mu": 1.0489}
+    return Vehicle(name=name, m=m, i_z=i_z, l_f=l_f, l_r=l_r, steer_ratio=16.0, **tyres)
 
 
 def scaled(name: str, m: float, wheelbase: float, steer_ratio: float = 15.6, mu: float = 0.9) -> Vehicle:

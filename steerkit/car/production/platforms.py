@@ -314,9 +314,8 @@ def lines(those: Sequence[dict[str, Any]]) -> list[str]:
         if row["obstacle"]:
             text.append(f"{start} not steered: {row['obstacle']}")
             continue
-        text.append(
-            f"{start} {row['slowest']:4.1f} m/s {row['delay']:5.2f} s {row['a_y']:4.1f} m/s^2 {row['jerk']:5.1f} m/s^3"
-        )
+        able = f"{row['a_y']:4.1f} m/s^2 {row['jerk']:5.1f} m/s^3"
+        text.append(f"{start} {row['slowest']:4.1f} m/s {row['delay']:5.2f} s {able}")
     drives = sum(not row["obstacle"] for row in those)
     return [*text, f"{drives} of {len(those)} can be steered; a_y and its rate: at most, at {AT:g} m/s"]
 

@@ -92,11 +92,8 @@ class Port:
         lateral = self.platform.lateral
         self._map = TorqueMap(gain=lateral.gain, friction=min(1.0, lateral.friction))
         self._fit, self._integral, self._a_y, self._turning = self._map.init(), 0.0, 0.0, 0.0
-        self._rubs, self._goal, self._goals = (
-            0.0,
-            math.nan,
-            deque([math.nan], maxlen=1 + round((config.delay + config.lag) / STEP)),
-        )
+        late = round((config.delay + config.lag) / STEP)
+        self._rubs, self._goal, self._goals = 0.0, math.nan, deque([math.nan], maxlen=1 + late)
         self._torques = deque([0.0], maxlen=1 + round((config.delay + config.lag) / STEP))
         self.steering = False
         """Did the last frames ask for steering?"""
@@ -336,9 +333,8 @@ class CanLine(contextlib.ExitStack):
         can = python_can()
         for frame_id, data, number in frames:
             if number in self._buses:
-                message = can.Message(
-                    arbitration_id=frame_id, data=data, is_extended_id=frame_id >= 0x800, is_fd=len(data) > 8
-                )
+                kind = {"is_extended_id": frame_id >= 0x800, "is_fd": len(data) > 8}
+                message = can.Message(arbitration_id=frame_id, data=data, **kind)
                 try:
                     self._buses[number].send(message)
                 except Exception as error:

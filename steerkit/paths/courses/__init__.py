@@ -298,9 +298,8 @@ def kept(name: str, make: Callable[[], Path]) -> Path:
     file = native.directory() / f"course-{name}-{_state()}.npz"
     with contextlib.suppress(OSError, ValueError, KeyError):
         stored = read_npz(file, "course")
-        return Path(
-            table=Table(stored["table"]), length=float(stored["length"]), closed=bool(stored["closed"]), name=name
-        )
+        length, closed = float(stored["length"]), bool(stored["closed"])
+        return Path(table=Table(stored["table"]), length=length, closed=closed, name=name)
     path = make()
     if path.name == name and path.origin_deg is None:
         arrays = {"table": path.table.rows, "length": np.array(path.length), "closed": np.array(path.closed)}

@@ -169,9 +169,8 @@ def distinct(line: Line, name: str) -> Line:
     """Without points that repeat the one before; raises ValueError for numbers that are none, and for less than two."""
     bad = np.flatnonzero(~(np.isfinite(line.xy).all(axis=1) & (np.abs(line.xy) < 1e8).all(axis=1)))
     if bad.size:
-        raise ValueError(
-            f"{name}: point {bad[0]} is at {tuple(line.xy[bad[0]].tolist())} [m], expected numbers below 1e8"
-        )
+        at = f"point {bad[0]} is at {tuple(line.xy[bad[0]].tolist())} [m]"
+        raise ValueError(f"{name}: {at}, expected numbers below 1e8")
     kept, last = np.ones(len(line.xy), dtype=bool), line.xy[:1]
     steps = distances(line.xy)
     if (steps < SAME).any():

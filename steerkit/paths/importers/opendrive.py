@@ -178,9 +178,8 @@ def _linked(road: Road) -> list[str]:
             drivable = number_ and on and _DRIVABLE.fullmatch(lane.kind) and _DRIVABLE.fullmatch(on.kind)
             if on and drivable and not lane.links["successor"] and not on.links["predecessor"]:
                 lane.links["successor"], on.links["predecessor"] = [number_], [number_]
-                notes.append(
-                    f"road {road.name}, lane {number_}: no link at s = {after.s:.1f} m; it is taken as going on"
-                )
+                gap = f"no link at s = {after.s:.1f} m; it is taken as going on"
+                notes.append(f"road {road.name}, lane {number_}: {gap}")
     return notes
 
 

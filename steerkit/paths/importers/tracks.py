@@ -119,9 +119,8 @@ def tcx(file: str) -> list[Track]:
             tracks[-1].call(node.text or "", tracks)
         elif tracks and (at := node.find("Position")) is not None:
             place = [*at.iterfind("LatitudeDegrees"), *at.iterfind("LongitudeDegrees")]
-            tracks[-1].read(
-                shown(node), functools.partial(map, value, place), node.findtext("Time"), next(node.iter("Speed"), None)
-            )
+            found, speed = functools.partial(map, value, place), next(node.iter("Speed"), None)
+            tracks[-1].read(shown(node), found, node.findtext("Time"), speed)
     return _some(tracks)
 
 
