@@ -251,10 +251,8 @@ def _frames(config: CarConfig) -> Iterator[str]:
             rest = ", or none" if guarded else ": with neither counter nor CRC, only their number tells a second sender"
             yield f"[protect] {reader.name}: period = {reader.period:g} s, expected 0.002 to 0.1 s{rest}"
         if "delta_sw" in reader.mappings and not guarded and "echo" not in config.quantities:
-            yield (
-                "[read] echo: missing; the kit's report has neither counter nor CRC, so its echo of the command "
-                "is the only thing that shows when it freezes"
-            )
+            neither = "the kit's report has neither counter nor CRC, so its echo of the command"
+            yield f"[read] echo: missing; {neither} is the only thing that shows when it freezes"
 
 
 def _ranges(config: CarConfig) -> Iterator[str]:

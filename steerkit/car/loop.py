@@ -399,11 +399,8 @@ def foresight(config: CarConfig) -> ExcursionPredictor:
 def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailSafe:
     """The safety filter before the gate of `config`."""
     budget = None if clock is None else BUDGET
-    return FailSafe(
-        block=catalogue.make_safety(design_model_of(config), GateModel(limits=config.gate)),
-        budget=budget,
-        clock=clock or time.perf_counter,
-    )
+    made = catalogue.make_safety(design_model_of(config), GateModel(limits=config.gate))
+    return FailSafe(block=made, budget=budget, clock=clock or time.perf_counter)
 
 
 def drive(

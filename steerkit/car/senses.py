@@ -86,11 +86,8 @@ class Senses:
         self.errors: deque[tuple[float, str]] = deque(maxlen=1000)
         self.error_count = 0
         self.torque_reports = 0.0
-        self._punctual = {
-            r.frame_id: Punctuality(r.period, r.modulus, config.states.pose_age)
-            for r in config.readers
-            if r.period and r.counter
-        }
+        counted, age = [r for r in config.readers if r.period and r.counter], config.states.pose_age
+        self._punctual = {r.frame_id: Punctuality(r.period, r.modulus, age) for r in counted}
         self._times: dict[int, deque[float]] = {i: deque(maxlen=1000) for i in self._readers}
         self.foreign: tuple[float, str] = (-math.inf, "")
         self._errors_of_path: deque[tuple[float, float]] = deque()  # (t, |e|), each the least from then on

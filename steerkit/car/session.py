@@ -241,9 +241,10 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
                 run = learner.run(60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)
             print(learner.status())
             merit = learner.figures()
+    name = "nfq" if place == loops.LEARNED else place
     print(
-        f"policies and transitions in {place}; drive with them: steerkit drive --car {options.config} --controller "
-        f"{'nfq' if place == loops.LEARNED else place}"
+        f"policies and transitions in {place}; drive with them: "
+        f"steerkit drive --car {options.config} --controller {name}"
     )
     return finished(here, run) | merit
 

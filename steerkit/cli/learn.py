@@ -102,13 +102,8 @@ def learn(
     if options.car:
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
-        figures = car_session.learn(
-            shared.car_options(options, options.car),
-            chosen,
-            place,
-            minutes=_minutes(minutes, None) or 0.0,
-            seed=options.seed,
-        )
+        how_long = {"minutes": _minutes(minutes, None) or 0.0, "seed": options.seed}
+        figures = car_session.learn(shared.car_options(options, options.car), chosen, place, **how_long)  # type: ignore[arg-type]
         if options.as_json:
             print(json.dumps(figures))
         return

@@ -156,11 +156,8 @@ def drive_options(command: Callable[..., None]) -> Callable[..., None]:
         options = kind(**{name: values.pop(name) for name in shared})
         command(**values, **{receiver: options})
 
-    parameters = [
-        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for p in own.values()
-        for parameter in (shared.values() if p.name == receiver else (p,))
-    ]
+    listed = [p for own_ in own.values() for p in (shared.values() if own_.name == receiver else (own_,))]
+    parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in listed]
     wrapper.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapper.__annotations__ = {p.name: p.annotation for p in parameters}
     return wrapper

@@ -114,9 +114,8 @@ class Trace:
     def instructions(self) -> int:
         """Operations in one period."""
         free = ("const", "in", "row", "result")
-        needed = [
-            (len(phases), [tick.graph.nodes[i][0] for i in tick.graph.order(tick.roots)]) for tick, phases in self.kinds
-        ]
+        nodes = [(len(phases), tick, tick.graph.order(tick.roots)) for tick, phases in self.kinds]
+        needed = [(many, [tick.graph.nodes[i][0] for i in order]) for many, tick, order in nodes]
         counts = [many * sum(op not in free for op in ops) for many, ops in needed]
         return sum(counts)
 

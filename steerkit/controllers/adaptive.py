@@ -151,11 +151,9 @@ class Adaptive(Block):
 
     def settle(self, t: float, x: State, u: Any) -> State:
         states = self._states(x)
-        settled = [
-            value
-            for block, state in zip(self.blocks, states)
-            for value in block.settle(t, state, self._seen(block, block.D, u, _own(x).ratio))
-        ]
+        ratio, pairs = _own(x).ratio, zip(self.blocks, states)
+        anew = [block.settle(t, state, self._seen(block, block.D, u, ratio)) for block, state in pairs]
+        settled = [value for state in anew for value in state]
         return (*settled, *x[len(settled) :])
 
     def output(self, t: Any, x: State, u: Any) -> Any:

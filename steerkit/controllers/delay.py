@@ -63,11 +63,8 @@ class DelayPredictor(Block):
         require(not missing, where, f"{needs}; predicted are {', '.join(sorted(have))}")
         gives = [p.name for p in self.block.outputs]
         require(gives == ["delta_sw"], where, f"block with outputs {gives}, expected delta_sw only")
-        for of, dt in (
-            ("the wrapped block", self.block.dt),
-            ("the model", self.model.dt),
-            ("its preview", self.model.preview_dt),
-        ):
+        parts = {"the wrapped block": self.block.dt, "the model": self.model.dt, "its preview": self.model.preview_dt}
+        for of, dt in parts.items():
             require(self.dt == dt, where, f"dt = {self.dt} s, but {of} has {dt} s")
 
     @classmethod

@@ -53,10 +53,8 @@ class SteeredCar:
     def corners(self, doubt: Doubt) -> "list[SteeredCar]":
         """The cars at the corners of a doubt about this one."""
         gains, errors = {doubt.gain, 1.0 / doubt.gain}, {doubt.delay, -doubt.delay}
-        return [
-            replace(self, gain=self.gain * gain, delay=max(0.0, self.delay + error))
-            for gain, error in product(sorted(gains), sorted(errors))
-        ]
+        pairs = product(sorted(gains), sorted(errors))
+        return [replace(self, gain=self.gain * g, delay=max(0.0, self.delay + error)) for g, error in pairs]
 
     def system(self, v: float, dt: float) -> tuple[Array, Array, dict[str, Array]]:
         """A, B of x+ = A x + B delta_sw at v [m/s], and the rows that make of x what a law sees."""

@@ -178,12 +178,8 @@ class PolicyBlock(Policy):
                 activation=str(f["activation"]),  # type: ignore[arg-type]
                 head=str(f["head"]),  # type: ignore[arg-type]
             )
-            return cls(
-                policy=net,
-                actions=tuple(f["actions"].tolist()) or None,
-                largest=float(f["largest"]),
-                description=StateDescription.of_arrays(f),
-                dt=float(f["dt"]),
-            )
+            numbers: Any = {"largest": float(f["largest"]), "dt": float(f["dt"])}
+            actions, description = tuple(f["actions"].tolist()) or None, StateDescription.of_arrays(f)
+            return cls(policy=net, actions=actions, description=description, **numbers)
         except (ValueError, TypeError, KeyError) as why:
             raise ValueError(f"{path}: the policy in it does not hold together: {why}") from why

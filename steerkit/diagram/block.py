@@ -186,11 +186,9 @@ class Block:
                 raise AttributeError(name)
             ports = [p.name for p in (*self.inputs, *self.outputs)]
             fields = [f.name for f in dataclasses.fields(self)]
-            raise AttributeError(
-                f"{type(self).__name__} has no port or parameter '{name}'{nearest(name, ports + fields)}; "
-                f"inputs: {', '.join(p.name for p in self.inputs) or 'none'}; "
-                f"outputs: {', '.join(p.name for p in self.outputs) or 'none'}"
-            )
+            ins, outs = (", ".join(p.name for p in some) or "none" for some in (self.inputs, self.outputs))
+            what = f"{type(self).__name__} has no port or parameter '{name}'{nearest(name, ports + fields)}"
+            raise AttributeError(f"{what}; inputs: {ins}; outputs: {outs}")
 
 
 _SHOWN = 8  # Entries of a tuple that are printed
@@ -215,10 +213,8 @@ _DECORATE = "write @dataclass(frozen=True, eq=False, kw_only=True) above the cla
 def _check_forgetful(cls: type) -> None:
     """Raise TypeError for a class whose objects would remember, as far as it can be known before it is decorated."""
     if "__init__" in vars(cls):
-        raise TypeError(
-            f"{cls.__name__}.__init__: a block's parameters are fields, such as `gain: float = 2.0`, and checked in "
-            f"__post_init__; {_DECORATE}"
-        )
+        what = "a block's parameters are fields, such as `gain: float = 2.0`, and checked in __post_init__"
+        raise TypeError(f"{cls.__name__}.__init__: {what}; {_DECORATE}")
     for name, value in vars(cls).items():
         if isinstance(value, _CHANGEABLE) and not name.startswith("__"):
             raise TypeError(

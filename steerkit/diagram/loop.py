@@ -67,10 +67,8 @@ class Wiring:
         a, b = wire
         for port in wire:
             if id(port.block) not in self._index:
-                raise WiringError(
-                    f"wire {a!r} -> {b!r}: {type(port.block).__name__} is not in the loop; "
-                    f"blocks: {', '.join(self.names)}"
-                )
+                kind = f"{type(port.block).__name__} is not in the loop; blocks: {', '.join(self.names)}"
+                raise WiringError(f"wire {a!r} -> {b!r}: {kind}")
         text = f"wire {self._label(a)} -> {self._label(b)}"
         if not isinstance(a.spec, Out) or not isinstance(b.spec, In):
             raise WiringError(f"{text}: a wire goes from an output to an input, here {a.spec.kind} to {b.spec.kind}")
@@ -95,10 +93,8 @@ class Wiring:
                 if (i, port.name) not in source:
                     named = zip(self.names, self.blocks)
                     fit = [f"{name}.{out.name}" for name, b in named for out in b.outputs if out.unit == port.unit]
-                    raise WiringError(
-                        f"{self.names[i]}.{port.name} [{port.unit}] is not driven; "
-                        f"outputs with that unit: {', '.join(fit) or 'none'}"
-                    )
+                    what = f"{self.names[i]}.{port.name} [{port.unit}] is not driven"
+                    raise WiringError(f"{what}; outputs with that unit: {', '.join(fit) or 'none'}")
         return source
 
     def _schedule(self) -> tuple[Call, ...]:
@@ -147,10 +143,8 @@ class Wiring:
         try:
             graphlib.TopologicalSorter(graph).prepare()
         except graphlib.CycleError as error:
-            raise WiringError(
-                f"algebraic loop: {' -> '.join(error.args[1])}; make one of these inputs direct=False, "
-                "or put a block with a state between"
-            ) from None
+            cure = "make one of these inputs direct=False, or put a block with a state between"
+            raise WiringError(f"algebraic loop: {' -> '.join(error.args[1])}; {cure}") from None
 
     def tick(self, due: Sequence[bool]) -> Any:
         """One tick as a straight run of Python calls: nothing is looked up that can be known beforehand."""
@@ -380,11 +374,8 @@ class Loop:
         def moved(port: Port) -> Port:
             return getattr(block, port.spec.name) if port.block is old else port
 
-        return Loop(
-            blocks={n: block if n == name else b for n, b in self.blocks.items()},
-            wires=[(moved(a), moved(b)) for a, b in self.wires],
-            dt=self.dt,
-        )
+        blocks = {n: block if n == name else b for n, b in self.blocks.items()}
+        return Loop(blocks=blocks, wires=[(moved(a), moved(b)) for a, b in self.wires], dt=self.dt)
 
     def with_inserted(self, parts: Mapping[str, tuple[str, Block]]) -> "Loop":
         """The same loop with blocks put into its wires: `{"car.v": ("noise", block)}`, behind car.v for all its users.

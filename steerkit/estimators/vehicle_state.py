@@ -404,14 +404,10 @@ class VehicleState(Block):
     @cached_property
     def _processes(self) -> tuple[tuple[float, Scalar], ...]:
         """f and deviation of a and of the six errors of sensors."""
-        processes = (
-            (_ACCELERATION_TIME, _ACCELERATION),
-            *[(self.drift_time, self.position_drift)] * 2,
-            (self.drift_time, self.psi_drift),
-            (self.heading_time, self.heading_drift),
-            (_ZERO_TIME, self.gyro_drift),
-            (_ZERO_TIME, self.wheel_drift),
-        )
+        drifts = ((self.drift_time, self.psi_drift), (self.heading_time, self.heading_drift))
+        zeros = ((_ZERO_TIME, self.gyro_drift), (_ZERO_TIME, self.wheel_drift))
+        position = [(self.drift_time, self.position_drift)] * 2
+        processes = ((_ACCELERATION_TIME, _ACCELERATION), *position, *drifts, *zeros)
         return tuple([(math.exp(-self.dt / time), deviation) for time, deviation in processes])
 
     @cached_property

@@ -177,12 +177,8 @@ class _Part:
                 for field, value in _numbers(block):
                     macro = "_".join([name, *([block_name] if block_name != "block" else []), field]).upper()
                     lines.append(f"#define {macro} {c_number(value)}" if field != "dt" else "")
-        lines += [
-            "",
-            "typedef struct {",
-            f"  unsigned phase; /* sample number modulo {len(self.trace.ticks)} */",
-            "  double k; /* sample number */",
-        ]
+        phase = f"  unsigned phase; /* sample number modulo {len(self.trace.ticks)} */"
+        lines += ["", "typedef struct {", phase, "  double k; /* sample number */"]
         lines += [f"  double {field};" for field in self.state.values()]
         lines += [f"}} {name}_state;", "", "typedef struct {"]
         lines += [f"  double {field}; /* [{unit}] */" for field, unit in self.inputs.items()] or ["  double none;"]

@@ -188,11 +188,8 @@ class Identified:
         }
         if held_out is not None:
             other = held_out.drive
-            provenance |= {
-                "held_out": other.name,
-                "held_out_sha256": other.digest,
-                "held_out_rms": round(held_out.rms, 6),
-            }
+            provenance |= {"held_out": other.name, "held_out_sha256": other.digest}
+            provenance["held_out_rms"] = round(held_out.rms, 6)
         provenance |= {"command": command} if command else {}
         steering = {name: self.theta[name] for name in ("delay", "lag", "offset")}
         return vehicle_text(self.vehicle, steering=steering, estimates=self.intervals, provenance=provenance)
@@ -270,13 +267,8 @@ class Identified:
                 left.plot([], [], " ", label=again)
             reach = 1.05 * max(float(np.abs(part.drive.r).max()) for part, _, _ in parts)
             cloud.plot([-reach, reach], [-reach, reach], color=COLOURS["ink"], lw=0.6)
-            cloud.set(
-                aspect="equal",
-                xlabel="measured yaw rate [rad/s]",
-                ylabel="predicted yaw rate [rad/s]",
-                xlim=(-reach, reach),
-                ylim=(-reach, reach),
-            )
+            span: Any = {"aspect": "equal", "xlim": (-reach, reach), "ylim": (-reach, reach)}
+            cloud.set(xlabel="measured yaw rate [rad/s]", ylabel="predicted yaw rate [rad/s]", **span)
             left.axhline(0.0, color=COLOURS["ink"], lw=0.6)
             rate.set_ylabel("yaw rate [rad/s]")
             left.set_ylabel("measured - predicted\n[mrad/s]")

@@ -81,13 +81,8 @@ def read_log(files: Files, *, dbc: str | Path | Iterable[str | Path] = (), time:
         while again in channels:
             again, count = f"{name} #{count}", count + 1
         channels[again] = replace(channel, name=again)
-    return RawLog(
-        name=", ".join(path.name for path in paths),
-        where=", ".join(map(str, paths)),
-        channels=channels,
-        notes=tuple(notes),
-        digest=_of_all(digests),
-    )
+    name, where = ", ".join(path.name for path in paths), ", ".join(map(str, paths))
+    return RawLog(name=name, where=where, channels=channels, notes=tuple(notes), digest=_of_all(digests))
 
 
 def read_drive(
@@ -135,15 +130,8 @@ def drive_of(
     if {"lat_deg", "lon_deg"} <= values.keys():
         in_metres(values, times, notes)
     commanded = "delta_sw" in used.columns and is_command(used.columns["delta_sw"].name)
-    return Drive.of(
-        aligned(values, times, where, notes),
-        name=name,
-        dt=dt,
-        trusted=trusted,
-        notes=notes,
-        digest=digest,
-        commanded=commanded,
-    )
+    told: Any = {"notes": notes, "digest": digest, "commanded": commanded}
+    return Drive.of(aligned(values, times, where, notes), name=name, dt=dt, trusted=trusted, **told)
 
 
 def _many(files: Any) -> list[Any]:

@@ -65,11 +65,9 @@ def is_command(name: str) -> bool:
 
 def candidates(quantity: str, channels: Mapping[str, Channel]) -> list[str]:
     """The channels that may be that quantity, best first: by kind of message, by name, then by rate."""
-    ranked = [
-        (rank, -channel.rate, k, name)
-        for k, (name, channel) in enumerate(channels.items())
-        if (rank := _rank(quantity, channel)) is not None
-    ]
+    ranks = {name: _rank(quantity, channel) for name, channel in channels.items()}
+    fit = [(name, rank) for name, rank in ranks.items() if rank is not None]
+    ranked = [(rank, -channels[name].rate, k, name) for k, (name, rank) in enumerate(fit)]
     return [name for *_, name in sorted(ranked)]
 
 
@@ -144,12 +142,8 @@ class ColumnMap:
             for key in given:
                 known(key, ("column", "unit", "scale", "offset"), f"{where}: key of {quantity}")
             require("column" in given, where, f"{quantity} = {entry!r}; give a name or {{ column = ..., unit = ... }}")
-            columns[quantity] = Column(
-                str(given["column"]),
-                str(given.get("unit", "")),
-                float(given.get("scale", 1.0)),
-                float(given.get("offset", 0.0)),
-            )
+            scale, offset = float(given.get("scale", 1.0)), float(given.get("offset", 0.0))
+            columns[quantity] = Column(str(given["column"]), str(given.get("unit", "")), scale, offset)
             columns[quantity].factor(quantity, where)
         return cls(columns)
 

@@ -206,10 +206,8 @@ def write_mf4(log: Log, file: Path) -> None:
     asammdf = optional("asammdf", f"{file}: MF4", "logs")
     units = {"t": "s", **log.units}
     columns = {name: values for name, values in log.columns().items() if name != "t"}
-    signals = [
-        asammdf.Signal(samples=np.asarray(values), timestamps=log.t, name=name, unit=units[name.split("[")[0]])
-        for name, values in columns.items()
-    ]
+    of = {name: (np.asarray(values), units[name.split("[")[0]]) for name, values in columns.items()}
+    signals = [asammdf.Signal(samples=v, timestamps=log.t, name=name, unit=unit) for name, (v, unit) in of.items()]
     with atomic_write(file) as draft, draft.open("wb") as stream, _silent(), asammdf.MDF(version="4.10") as mdf:
         mdf.append(signals, comment="steerkit")
         mdf.save(stream)

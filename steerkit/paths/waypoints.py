@@ -169,10 +169,8 @@ def ring(points: Array, where: str) -> Array:
     ends = np.array([points[-1] - points[-2], points[1] - points[0]])
     if (ends @ back < -0.5 * np.hypot(*ends.T) * gap).all():
         near = len(points) // 2 + int(np.argmin(np.hypot(*(points[len(points) // 2 :] - points[0]).T)))
-        raise ValueError(
-            f"{where}: closed, but its end overlaps its start by {gap:.3g} m; cut it to the first {near} waypoints, "
-            "where it comes back to its start"
-        )
+        cut = f"cut it to the first {near} waypoints, where it comes back to its start"
+        raise ValueError(f"{where}: closed, but its end overlaps its start by {gap:.3g} m; {cut}")
     return np.vstack((points, points[:1]))
 
 

@@ -197,13 +197,8 @@ class DegradedSensors(_Sensing):
 
     def scaled(self, size: float) -> Self:
         """The same with all errors but the age `size` times as large; `lost` too, up to a half."""
-        return replace(
-            self,
-            block=self.block.scaled(size),
-            lost=min(0.5, size * self.lost),
-            jump=size * self.jump,
-            heading_drift=size * self.heading_drift,
-        )
+        larger: Any = {"jump": size * self.jump, "heading_drift": size * self.heading_drift}
+        return replace(self, block=self.block.scaled(size), lost=min(0.5, size * self.lost), **larger)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero = m.filled(0.0, batch)

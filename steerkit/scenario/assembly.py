@@ -259,10 +259,8 @@ class _Bench:
                 self.wire(seen, name, block, name)
             else:
                 known = [*_names(tracker.outputs), *_names(seen.outputs), "delta_sw_meas", "doe"]
-                raise WiringError(
-                    f"{type(block).__name__}.{name}: no signal of that name; known: {', '.join(known)}; "
-                    "wire the loop by hand for others"
-                )
+                hint = f"known: {', '.join(known)}; wire the loop by hand for others"
+                raise WiringError(f"{type(block).__name__}.{name}: no signal of that name; {hint}")
 
 
 def _names(ports: Iterable[In | Out]) -> list[str]:

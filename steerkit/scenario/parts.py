@@ -317,21 +317,13 @@ class Steering(Part):
         """What happens to a command before the actuator; None for a perfect link. `seed` is that of its delays."""
         if (self.quantum_deg, self.dead_band_deg, self.delay_jitter) == (0.0, 0.0, 0.0):
             return None
-        return SteeringLink(
-            quantum=radians_of(self.quantum_deg),
-            dead_band=radians_of(self.dead_band_deg),
-            jitter=self.delay_jitter,
-            seed=seed,
-        )
+        quantum, dead_band = radians_of(self.quantum_deg), radians_of(self.dead_band_deg)
+        return SteeringLink(quantum=quantum, dead_band=dead_band, jitter=self.delay_jitter, seed=seed)
 
     def actuator(self, nominal: Vehicle) -> Block:
         """The motor at the steering wheel, or what steers by torque in its place."""
-        common: dict[str, Any] = dict(
-            delay=self.delay,
-            lag=self.lag,
-            rate_limit=radians_of(self.rate_limit_deg),
-            offset=radians_of(self.offset_deg),
-        )
+        rate, offset = radians_of(self.rate_limit_deg), radians_of(self.offset_deg)
+        common: dict[str, Any] = dict(delay=self.delay, lag=self.lag, rate_limit=rate, offset=offset)
         if self.command == "torque":
             return TorqueSteering.of(nominal, slew=self.slew, a_y_limit=self.a_y_limit, gain=self.gain, **common)
         return SteeringActuator(limit=nominal.delta_sw_max, **common)

@@ -246,14 +246,9 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
         most = lateral.gain * (1.0 - lateral.friction)
         slew = min(JERK_MAX, share * lateral.gain)
         late = 0.5 * lateral.gain * lateral.friction / slew
-        return PortLimits(
-            a_y_max=min(A_Y_MAX, most),
-            jerk_max=slew,
-            understeer=float(vehicle.understeer_gradient),
-            slew=_KEPT * slew,
-            torque_limit=most,
-            late=late,
-        )
+        more: Any = {"slew": _KEPT * slew, "torque_limit": most, "late": late}
+        underneath = float(vehicle.understeer_gradient)
+        return PortLimits(a_y_max=min(A_Y_MAX, most), jerk_max=slew, understeer=underneath, **more)
     angles: Any = controls.ANGLE_LIMITS
     if getattr(angles, "MAX_LATERAL_ACCEL", 0.0):
         return PortLimits(
@@ -266,9 +261,8 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
     if platform.steered_by == "angle":
         table = tuple(zip(map(float, speeds), map(float, np.radians(rates) / frame)))
         turning = _turning(table, vehicle)
-        return PortLimits(
-            delta_max=radians_of(angles.STEER_ANGLE_MAX), rate_max=table[0][1], rates=table, turning=turning
-        )
+        most = radians_of(angles.STEER_ANGLE_MAX)
+        return PortLimits(delta_max=most, rate_max=table[0][1], rates=table, turning=turning)
     length, ratio = vehicle.wheelbase, vehicle.steer_ratio
     table = tuple(zip(map(float, speeds), [float(ratio * length * rate / frame) for rate in rates]))
     return PortLimits(

@@ -274,10 +274,8 @@ class PandaLine:
         try:
             from panda import Panda
         except ImportError as error:
-            raise OSError(
-                "[port] line = 'panda': its library is not installed (github.com/commaai/panda); "
-                "or give line = 'python-can'"
-            ) from error
+            lacks = "its library is not installed (github.com/commaai/panda); or give line = 'python-can'"
+            raise OSError(f"[port] line = 'panda': {lacks}") from error
         try:
             self._panda = Panda(serial or None)
             safety = platform.params.safetyConfigs[-1]

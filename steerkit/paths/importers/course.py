@@ -146,10 +146,8 @@ def laid(
         fine = curve(np.linspace(0.0, end, count + 1)[: -1 if closed else None])
         beside = np.hypot(*(line.xy - curve(u[: len(line.xy)])).T)
         most, at = float(beside.max()), "({:.1f}, {:.1f})".format(*line.xy[beside.argmax()])
-        remarks.append(
-            f"smoothed by noise = {noise:g} m: the points lie {shown:.2g} m beside the curve (RMS), "
-            f"{most:.2g} m at most, at {at} [m]"
-        )
+        beside_it = f"the points lie {shown:.2g} m beside the curve (RMS), {most:.2g} m at most, at {at} [m]"
+        remarks.append(f"smoothed by noise = {noise:g} m: {beside_it}")
     else:
         fine, u = line.xy, travelled(line.xy)
         end = float(u[-1]) + (math.dist(line.xy[0], line.xy[-1]) if closed else 0.0)

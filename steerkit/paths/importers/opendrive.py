@@ -93,10 +93,8 @@ class Road:
         x, y, heading = self.reference(s)
         own = _stepped(lane.limits, inside - section.s, math.nan)
         limit = np.where(np.isnan(own), _stepped(self.limits, inside, math.nan), own)
-        line = Line(
-            xy=np.column_stack((x - t * np.sin(heading), y + t * np.cos(heading))),
-            v_limit=limit if np.isfinite(limit).any() else None,
-        )
+        xy = np.column_stack((x - t * np.sin(heading), y + t * np.cos(heading)))
+        line = Line(xy=xy, v_limit=limit if np.isfinite(limit).any() else None)
         return line if self.forward(lane) else line.backwards()
 
     def offset(self, section: Section, wanted: int, s: Array) -> Array:
@@ -423,14 +421,7 @@ def poly3(length: float, v: Array, d: Array) -> tuple[Array, Array, Array]:
     from scipy.integrate import solve_ivp
 
     slope = polyder(v)
-    way = solve_ivp(
-        lambda _, u: 1.0 / np.hypot(1.0, polyval(u, slope)),
-        (0.0, length),
-        [0.0],
-        "DOP853",
-        dense_output=True,
-        rtol=1e-13,
-        atol=1e-13,
-    )
+    rate = lambda _, u: 1.0 / np.hypot(1.0, polyval(u, slope))  # noqa: E731
+    way = solve_ivp(rate, (0.0, length), [0.0], "DOP853", dense_output=True, rtol=1e-13, atol=1e-13)
     (u,) = way.sol(d)
     return u, polyval(u, v), np.arctan(polyval(u, slope))
