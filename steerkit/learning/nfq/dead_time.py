@@ -65,9 +65,7 @@ torque leaves unexplained can look like one. With 30, a real one of 2 degrees is
 TRUST = 0.25
 """Share of what is seen in the filtered w and r_e (see `DelayCompensator`) ..."""
 TRUST_COURSE = 0.1
-"""... and, of a fast car, in e and c where they are noise (see `trust_in_course`) ..."""
-TRUST_WANDERING = 0.3
-"""... and where the car wanders."""
+"""... and, of a fast car, in e and c where they are noise (see `trust_in_course`)."""
 TAKEN_BACK = 0.05
 """Correlation of what a model did not foresee of c with that of the sample before: noise if it is below that, negative
 ..."""
@@ -158,10 +156,9 @@ def _of_others(
 
 
 def trust_in_course(model: CarModel, record: Transitions) -> float:
-    """Share of the measured e and c in a forecast's: TRUST_COURSE where c is noisy, more where the car wanders.
+    """Share of the measured e and c in a forecast's: TRUST_COURSE where c is noisy, 1 where the model is what is wrong.
 
-    1 of too few rows. The noise of a measurement is taken back a sample later, so that what comes otherwise than
-    foreseen, y, has
+    The noise of a measurement is taken back a sample later, so that what comes otherwise than foreseen, y, has
 
         rho = E[y(k) y(k - 1)]/E[y^2] = -1/2,   0 or more where it is the car's doing (wind, wear in the steering),
 
@@ -173,7 +170,7 @@ def trust_in_course(model: CarModel, record: Transitions) -> float:
     if len(row) < REFINED:
         return 1.0
     rho = float(np.mean(y[row] * y[row - 1]) / max(float(np.mean(y * y)), 1e-30))
-    return TRUST_COURSE if rho < -TAKEN_BACK - CERTAIN / np.sqrt(len(row)) else TRUST_WANDERING
+    return TRUST_COURSE if rho < -TAKEN_BACK - CERTAIN / np.sqrt(len(row)) else 1.0
 
 
 def since_change(record: Transitions, longest: int) -> Transitions:

@@ -13,7 +13,6 @@ from steerkit.learning.nfq import dead_time
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.dead_time import (
     TRUST_COURSE,
-    TRUST_WANDERING,
     aligned,
     dead_time_of,
     process_of,
@@ -149,7 +148,7 @@ def test_a_course_is_filtered_where_its_noise_is_that_of_the_sensor() -> None:
         return process_of(record, DESCRIPTION, 0.6).forecast.trust_course
 
     assert trust(calmly_steered(3)) == TRUST_COURSE
-    assert trust(calmly_steered(3, wanders=2e-4)) == TRUST_WANDERING, "what the car does is not noise"
+    assert trust(calmly_steered(3, wanders=2e-4)) == 1.0, "what the car does is not noise"
     assert trust(late(3, car=FAST, speeds=(12.0, 24.0), n=60).part(slice(0, 30))) == 1.0, "too few rows to say"
     assert trust(late(3, noise=0.01)) == 1.0, "a slow car's is as it was"
 
