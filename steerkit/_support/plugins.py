@@ -20,9 +20,11 @@ from typing import Any
 from steerkit._support.errors import require
 from steerkit._support.files import read_bytes
 
-_PREFIX = "_steerkit_outside_"  # How the names of modules begin that are files of users
+_PREFIX = "_steerkit_outside_"
+"""How the names of modules begin that are files of users."""
 
-_mine: set[str] = set()  # Files and modules that the user has named in this program
+_mine: set[str] = set()
+"""Files and modules that the user has named in this program."""
 _data: ContextVar[tuple[str, Mapping[str, Any], bool] | None] = ContextVar("_data", default=None)
 
 

@@ -10,8 +10,11 @@ _TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="u
 QUANTITIES: dict[str, str] = _TABLE["si"]
 """What a drive is made of, and its unit: time, steering-wheel angle (or delta, the road wheels'), speed, yaw rate,
 heading (one of r and psi, or both), and where it was, its lateral velocity and its throttle, if the log knows."""
-_ONE = {"deg": {"deg": 1.0, "rad": 1.0 / RAD_PER_DEG}, "1": {"1": 1.0, "%": 0.01}}
-UNITS: dict[str, dict[str, float]] = FACTORS | _ONE
+UNITS: dict[str, dict[str, float]] = {
+    **FACTORS,
+    "deg": {"deg": 1.0, "rad": 1.0 / RAD_PER_DEG},
+    "1": {"1": 1.0, "%": 0.01},
+}
 """SI unit (degrees for a place on Earth) to the units that a column may have, and what one of them is in it."""
 SPELT = {spelling: unit for unit, spellings in _TABLE["spelt"].items() for spelling in spellings.split()}
 """Units as files spell them, or as names end in them."""

@@ -18,8 +18,9 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.diagram import maths as m
+from steerkit.diagram.maths import Scalar
 
-RandomState = tuple[m.Scalar, ...]
+RandomState = tuple[Scalar, ...]
 """The generator's six state numbers, oldest first: three of p1, then three of p2."""
 
 _M1, _M2 = 4294967087.0, 4294944443.0
@@ -53,7 +54,7 @@ def seed_state(seed: int | OpenSeed, batch: tuple[int, ...] = (), *, stream: int
     return tuple(state)
 
 
-def uniform(state: RandomState) -> tuple[m.Scalar, RandomState]:
+def uniform(state: RandomState) -> tuple[Scalar, RandomState]:
     """One number u, uniform in (0, 1), and the state after it; equations above."""
     a, b, c, d, e, f = state
     p1 = 1403580.0 * b - 810728.0 * a
@@ -65,7 +66,7 @@ def uniform(state: RandomState) -> tuple[m.Scalar, RandomState]:
     return u, (b, c, p1, e, f, p2)
 
 
-def normals(state: RandomState) -> tuple[m.Scalar, m.Scalar, RandomState]:
+def normals(state: RandomState) -> tuple[Scalar, Scalar, RandomState]:
     """Two independent standard normal numbers, and the state after them.
 
         n1 = sqrt(-2 ln u1) cos(2 pi u2),   n2 = sqrt(-2 ln u1) sin(2 pi u2)

@@ -115,8 +115,9 @@ def break_at(loop: "Loop", signal: "Signal", *, at: "LoopState | None" = None) -
     around = linearise(loop, at, inputs=[signal], outputs=[signal], cut=[signal])
     if not around.nstates and not np.any(around.D):
         name = signal_name(loop, signal)
-        what = "does not act back on itself here; is a limiter active, or does no one use it?"
-        raise ValueError(f"break_at: {name} {what}")
+        raise ValueError(
+            f"break_at: {name} does not act back on itself here; is a limiter active, or does no one use it?"
+        )
     labels = dict(inputs=around.input_labels, outputs=around.output_labels, states=around.state_labels)
     return control.ss(-around, **labels)
 

@@ -12,6 +12,7 @@ import numpy as np
 from steerkit._support.errors import require
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, set_ports, state_like
+from steerkit.diagram.maths import Array
 
 if TYPE_CHECKING:
     from steerkit.diagram.loop import Loop, LoopState
@@ -82,9 +83,7 @@ class Period:
                     found.append(y[i][j])
         return [value for state in states[:blocks] for value in state], read
 
-    def matrices(
-        self, x: m.Array, taps: Sequence[Sequence[float]], k: int
-    ) -> tuple[m.Array, m.Array, m.Array, m.Array]:
+    def matrices(self, x: Array, taps: Sequence[Sequence[float]], k: int) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D about states and tap values by central differences, all columns at once as a batch."""
         n, flat = len(x), np.array([value for values in taps for value in values])
         point = np.concatenate((x, flat))
@@ -168,7 +167,7 @@ class FromControl(Block):
         return bool(self.system.isdtime(strict=True))
 
     @cached_property
-    def _matrices(self) -> tuple[m.Array, ...] | None:
+    def _matrices(self) -> tuple[Array, ...] | None:
         """A, B, C, D of a linear system."""
         if not hasattr(self.system, "A"):
             return None
@@ -227,14 +226,14 @@ def to_control(
     period = Period(loop, dict.fromkeys(added, False), shown, state)
     dt = loop.dt * loop.period
 
-    def run(t: float, x: m.Array, u: m.Array) -> tuple[list[float], list[list[float]]]:
+    def run(t: float, x: Array, u: Array) -> tuple[list[float], list[list[float]]]:
         k = state.k + loop.period * round(t / dt)
         return period.run(x.tolist(), [[value] for value in np.atleast_1d(u).tolist()], k)
 
-    def update(t: float, x: m.Array, u: m.Array, params: Any) -> Any:
+    def update(t: float, x: Array, u: Array, params: Any) -> Any:
         return run(t, x, u)[0]
 
-    def output(t: float, x: m.Array, u: m.Array, params: Any) -> Any:
+    def output(t: float, x: Array, u: Array, params: Any) -> Any:
         return [samples[0] for samples in run(t, x, u)[1]]
 
     return control.nlsys(
@@ -249,7 +248,7 @@ def to_control(
     )
 
 
-def _affine(a: m.Array, x: Sequence[Any], b: m.Array, u: Sequence[Any]) -> list[Any]:
+def _affine(a: Array, x: Sequence[Any], b: Array, u: Sequence[Any]) -> list[Any]:
     """A x + B u in plain arithmetic, for floats, batches and symbols."""
     rows = zip(a.tolist(), b.tolist())
     return [sum((c * v for c, v in zip((*ra, *rb), (*x, *u))), 0.0) for ra, rb in rows]

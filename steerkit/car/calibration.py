@@ -32,7 +32,8 @@ SLOWEST = 3.0
 WARNING = 5.0
 """How long before its end the operator is warned [s]."""
 _ABOUT = {"sine": "the wheel swings slowly", "steps": "it steps to and fro", "bends": "the course alone moves it"}
-_DATA_SHEET = "data sheet"  # Source of what no drive has found
+DATA_SHEET = "data sheet"
+"""Source of what no drive has found."""
 NAMED = "-calibrated"
 """End of the name of a car that was calibrated."""
 
@@ -168,7 +169,7 @@ class Calibrated:
                 q, source = known[name]
                 rows[name] = {"value": q.value, "low": q.low, "high": q.high, "unit": unit, "source": source}
             elif name in sheet:
-                rows[name] = {"value": sheet[name], "unit": unit, "source": _DATA_SHEET}
+                rows[name] = {"value": sheet[name], "unit": unit, "source": DATA_SHEET}
         unknown = [name for name in ESTIMATES if name not in known]
         notes = [f"{', '.join(unknown)}: not found by this drive"] if unknown else []
         provenance = {
@@ -233,8 +234,9 @@ def from_recording(recording: FilePath, out: FilePath, *, say: bool = True) -> d
     print(f'{made.learned} of {len(ESTIMATES)} quantities in {out}; to drive with it: [vehicle] name = "{out.name}"')
     times = ", ".join(f"{name} = {value:.3f}" for name, value in made.steering.items() if name != "offset")
     print(f"and for controllers that predict: [kit] {times}")
-    rows = {name: {"value": q.value, "low": q.low, "high": q.high} for name, q in made.found.items()}
-    rows = {name: row | {"valid": made.found[name].valid > 0.5} for name, row in rows.items()}
+    rows = {
+        name: {"value": q.value, "low": q.low, "high": q.high, "valid": q.valid > 0.5} for name, q in made.found.items()
+    }
     return {"vehicle_file": str(out), "estimates": rows, "changes": changes(made.before, made.found)}
 
 
@@ -250,11 +252,13 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
     with sessions.session(options) as here:
         if not here.recording:
             hint = f"drive with it and use its recording: steerkit car calibrate --from RECORDING --out {out}"
-            none = "no vehicle file: the car server there was not ours"
-            raise NothingLearned(f"{here.socket}: {none}; end it, or {hint}")
+            raise NothingLearned(
+                f"{here.socket}: no vehicle file: the car server there was not ours; end it, or {hint}"
+            )
         here.link.wait(timeout=10.0)
-        how: Any = {"base": base, "minutes": minutes, "say": not here.live}
-        guided = Guided(config=here.config, path=here.path, link=here.link, **how)
+        guided = Guided(
+            config=here.config, path=here.path, link=here.link, base=base, minutes=minutes, say=not here.live
+        )
         run = sessions.guided(here, f"calibration, {base}", guided, "guide")
     figures = sessions.finished(here, run)
     return figures | from_recording(FilePath(here.recording), out, say=not options.quiet)

@@ -53,8 +53,10 @@ class CarClient(contextlib.ExitStack):
         try:
             self._socket.connect(socket_path)
         except OSError as error:
-            start = "start one with `steerkit car server`, or see its log"
-            raise CarLost(f"{socket_path}: no car server answers there ({error.strerror}); {start}") from error
+            raise CarLost(
+                f"{socket_path}: no car server answers there ({error.strerror}); start one with "
+                "`steerkit car server`, or see its log"
+            ) from error
         if not _ours(self._socket):
             raise CarLost(f"{socket_path}: the process there is another user's; it is not trusted")
         self._send(protocol.Hello(controller, course=course, name=name))

@@ -196,7 +196,8 @@ WRITTEN = {
     "crc": re.compile(r".*(CRC|CHECKSUM).*", re.I),
 }
 """The same of the signals that we write, by their part in the command."""
-_MEANING = re.compile(r"TYPE|MODE", re.I)  # Signals of a command that say what it means: an angle, or perhaps a torque
+MEANING = re.compile(r"TYPE|MODE", re.I)
+"""Signals of a command that say what it means: an angle, or perhaps a torque."""
 SMALLEST, LARGEST = 1e-12, 1e9
 _PLAUSIBLE = f"scales from {SMALLEST:g} to {LARGEST:g}, offsets up to {LARGEST:g}"
 STEPS = 20
@@ -251,8 +252,10 @@ def _frames(config: CarConfig) -> Iterator[str]:
             rest = ", or none" if guarded else ": with neither counter nor CRC, only their number tells a second sender"
             yield f"[protect] {reader.name}: period = {reader.period:g} s, expected 0.002 to 0.1 s{rest}"
         if "delta_sw" in reader.mappings and not guarded and "echo" not in config.quantities:
-            neither = "the kit's report has neither counter nor CRC, so its echo of the command"
-            yield f"[read] echo: missing; {neither} is the only thing that shows when it freezes"
+            yield (
+                "[read] echo: missing; the kit's report has neither counter nor CRC, so its echo of the command "
+                "is the only thing that shows when it freezes"
+            )
 
 
 def _ranges(config: CarConfig) -> Iterator[str]:
@@ -294,8 +297,9 @@ def _ranges(config: CarConfig) -> Iterator[str]:
 
 def _command(config: CarConfig) -> Iterator[str]:
     writer, largest = config.writer, config.gate.delta_sw_max
-    roles = (writer.angle.signal, writer.enable, writer.clear, writer.alert, writer.counter, writer.crc)
-    names = [name for name in roles if name]
+    names = [
+        n for n in (writer.angle.signal, writer.enable, writer.clear, writer.alert, writer.counter, writer.crc) if n
+    ]
     for name, number in Counter(names).items():
         if number > 1:
             yield f"[write] {name} has {number} roles, expected one"
@@ -311,7 +315,7 @@ def _command(config: CarConfig) -> Iterator[str]:
             yield f"[write.fixed] {name} is written by [write] already"
         elif value and DANGEROUS.search(name):
             yield f"[write.fixed] {name} = {value}, expected 0: it switches a protection of the kit off"
-        elif value and _MEANING.search(name):
+        elif value and MEANING.search(name):
             choices = writer.message.get_signal_by_name(name).choices or {}
             if not re.search(r"angle|position", str(choices.get(value, "")), re.I):
                 yield f"[write.fixed] {name} = {value}, expected 0, or a value that the DBC (VAL_) names an angle"
@@ -438,8 +442,9 @@ class Reading:
         interface = self.entry("bus", table, "interface", str)
         channel = table.get("channel")
         named = isinstance(channel, (str, int)) and not isinstance(channel, bool)
-        name = f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number"
-        self.require(named, name)
+        self.require(
+            named, f"[bus] channel = {channel!r}, expected a name such as '/dev/ttyACM0' or 'can0', or a number"
+        )
         options = self.entry("bus", table, "options", dict, {})
         for key, value in options.items():
             fits = key not in _BUS and isinstance(value, (str, int, float))

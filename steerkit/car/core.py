@@ -15,7 +15,8 @@ from steerkit.paths.path import Path
 
 RESEND = 0.02
 """Period at which the last request is gated and sent again [s]."""
-_NEUTRAL_FRAMES = 5  # Frames with enable = 0 that follow the last one with enable = 1
+NEUTRAL_FRAMES = 5
+"""Frames with enable = 0 that follow the last one with enable = 1."""
 FOREIGN = 1.0
 """How long a foreign sender is remembered [s]."""
 LOOK = 0.01
@@ -338,7 +339,7 @@ class Core:
         before, self.machine = self.machine, after
         out.append(Note("state", {"t": after.since, "from": before.mode, "to": after.mode, "cause": after.cause}))
         if before.mode is Mode.ENGAGED:
-            self._neutral, self._urgent, self._let_go = _NEUTRAL_FRAMES, True, after.since
+            self._neutral, self._urgent, self._let_go = NEUTRAL_FRAMES, True, after.since
 
     def _write(self, t: float, out: list[Output]) -> None:
         if self.config.listen_only:

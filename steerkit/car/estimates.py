@@ -20,17 +20,21 @@ from steerkit.vehicles import tables_of
 
 EVERY = 20
 """Samples from one message of estimates to the next."""
-_RAGGED = 0.4  # A sample that comes later or earlier by more than this share of the period is not used [1]
+_RAGGED = 0.4
+"""A sample that comes later or earlier by more than this share of the period is not used [1]."""
 _MOST = {"v": 150.0, "r": 10.0, "psi": 1e3, "delta_sw": 100.0, "command": 100.0, "report_age": 1.0}
 """What no car exceeds, in SI: such a reading is none."""
 _ARITHMETIC = (ArithmeticError, ValueError)
 """What floats raise: a division by 0, an overflow, the root of a negative number. None of it may end a drive."""
 _LAGS = {"short lag": 0.08, "middle lag": 0.16, "long lag": 0.32}
 """Priors of the lag [s]: each block finds lags from half of its own to 1.4 times that."""
-_UPPER = 1.3  # A lag that is longer than so many times the prior is the next block's [1]
+_UPPER = 1.3
+"""A lag that is longer than so many times the prior is the next block's [1]."""
 _OTHERS = ("filter", "friction", "play")
-_SPREAD = 0.004  # Deviation of when a command acts, which the gate spreads over the frames of its sample [s]
-_MOTION_UNKNOWN = 0.01  # Deviation of the time between what is measured of wheel and of motion [s]
+_SPREAD = 0.004
+"""Deviation of when a command acts, which the gate spreads over the frames of its sample [s]."""
+_MOTION_UNKNOWN = 0.01
+"""Deviation of the time between what is measured of wheel and of motion [s]."""
 
 
 class Quantity(NamedTuple):

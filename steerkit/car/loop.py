@@ -26,6 +26,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram import realtime
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import Scalar
 from steerkit.diagram.realtime import Run
 from steerkit.doe import Integrator, OutputElement
 from steerkit.learning import rundir
@@ -38,7 +39,8 @@ from steerkit.scenario.assembly import controller_of, steering_loop, with_contro
 from steerkit.task import TRIP
 from steerkit.vehicles.rollout import GateModel, beside, yaw_gain
 
-_STEP = 0.05  # Time between two points of the roll-out [s]
+_STEP = 0.05
+"""Time between two points of the roll-out [s]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,7 +86,7 @@ class ExcursionPredictor(Block):
         reach = m.maximum(left, right)
         return self.Y(m.maximum(self.weight * reach, m.absolute(u.e)), reach)
 
-    def _reach(self, u: Any, side: float) -> m.Scalar:
+    def _reach(self, u: Any, side: float) -> Scalar:
         """The furthest that the car gets to the left (side = 1) or right (-1) while it is steered the other way [m]."""
         limits = self.gate.limits
         ratio, length, gain = limits.steer_ratio, limits.wheelbase, yaw_gain(u.v, limits.wheelbase, limits.understeer)
@@ -399,8 +401,11 @@ def foresight(config: CarConfig) -> ExcursionPredictor:
 def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailSafe:
     """The safety filter before the gate of `config`."""
     budget = None if clock is None else BUDGET
-    made = catalogue.make_safety(design_model_of(config), GateModel(limits=config.gate))
-    return FailSafe(block=made, budget=budget, clock=clock or time.perf_counter)
+    return FailSafe(
+        block=catalogue.make_safety(design_model_of(config), GateModel(limits=config.gate)),
+        budget=budget,
+        clock=clock or time.perf_counter,
+    )
 
 
 def drive(
@@ -429,8 +434,9 @@ def drive(
         return bool(watch and watch(run))
 
     link.note(Remark(replace(controller.steers, recovery=recovery).text()))
-    how: Any = {"watch": step, "on_miss": lambda run: count_misses(run, link)}
-    return realtime.run(follow.resting, duration, timer=clock or Clock(), **how)
+    return realtime.run(
+        follow.resting, duration, timer=clock or Clock(), watch=step, on_miss=lambda run: count_misses(run, link)
+    )
 
 
 def count_misses(run: realtime.Run, link: CarClient) -> None:

@@ -20,13 +20,16 @@ LOOK = 0.1
 """Time between two looks at what does not jump [s]."""
 READ_LATE = 0.06
 """How late a busy computer may read a frame [s]; the process that reads watches that of its own."""
-_USUAL = 0.02  # Time between two poses [s]: so far the car may drive before the next comes
+_USUAL = 0.02
+"""Time between two poses [s]: so far the car may drive before the next comes."""
 ASTRAY = 0.5
 """How far off the path counts as astray [m]."""
 _NOISES, _DEVIATIONS = 4.0, 2.5
 """So many deviations of a sample's noise, and of all that is not known of the car, may add up."""
-_LONG = 600.0  # Over so long what was learned of a car is forgotten [s]
-_MOST = 3.0  # Deviations of the data sheet's, beyond which nothing is learned but the pose is wrong
+_LONG = 600.0
+"""Over so long what was learned of a car is forgotten [s]."""
+_MOST = 3.0
+"""Deviations of the data sheet's, beyond which nothing is learned but the pose is wrong."""
 _DRIFT = (0.005, 0.005, radians_of(0.06))
 """By how much position, and heading against gyro, wander [m/sqrt(s), rad/sqrt(s)]."""
 _TURN_SHARE = radians_of(0.3)
@@ -260,8 +263,10 @@ class MotionCheck:
         most[:, (0, 5)] += self._late * abs(self._rates[_WAY])
         i, k = np.nonzero(~(np.abs(left) <= most))  # of a NaN too; only where these are the bounds are worked out whole
         rows, wander = J[i, k], self._wander(span, more)[i, k]
-        spread = np.sqrt(np.einsum("ma,mab,mb->m", rows, P[i], rows) + wander)
-        beyond = ~(np.abs(left[i, k]) <= most[i, k] + _DEVIATIONS * spread)
+        beyond = ~(
+            np.abs(left[i, k])
+            <= most[i, k] + _DEVIATIONS * np.sqrt(np.einsum("ma,mab,mb->m", rows, P[i], rows) + wander)
+        )
         if not beyond.any():
             return ""
         window, kind = int(i[beyond][0]), int(k[beyond][0])
@@ -305,8 +310,11 @@ def _effects(span: Any, added: np.ndarray, before: np.ndarray, rate: Any, rate_n
     J[..., 0, SPEED] = J[..., 5, SPEED] = J[..., 1, ZERO] = J[..., 4, _ALL - 1] = way
     J[..., 1, LEVER], J[..., 1, SLIP], J[..., 2, RATE] = turn, -added[..., _SLIDE], -span
     J[..., 3, SPEED] = J[..., 3, RATIO] = turn
-    J[..., 3, WHEEL], J[..., 3, UNDERSTEER] = added[..., _BY_WHEEL], added[..., _BY_UNDERSTEER]
-    J[..., 3, LATE] = rate - rate_now
+    J[..., 3, WHEEL], J[..., 3, UNDERSTEER], J[..., 3, LATE] = (
+        added[..., _BY_WHEEL],
+        added[..., _BY_UNDERSTEER],
+        rate - rate_now,
+    )
     J[..., range(4), range(_N, _ALL)] = 1.0
     J[..., 4, _N + 1], J[..., 4, ZERO], J[..., 4, LEVER], J[..., 4, SLIP] = 1.0, way, turn, -added[..., _SLIDE]
     J[..., 4, SPEED] = J[..., 4, RATIO] = added[..., _TURNED] - before[..., _TURN] * way

@@ -55,8 +55,10 @@ STEERS = {None: "", True: " by the learner", False: " by the recovery controller
 SHOWN = {name: f"car.{name}" for name in Snapshot._fields if name not in ("t", "mode", "holder", "text")}
 SHOWN |= {"e": "path.e", "psi_e": "path.psi_e", "command": "gate.delta_sw"}
 """What a snapshot holds, and its name among a drive's signals."""
-_UNRECORDED = ("not recorded: ", "recording: ")  # How what a snapshot says against its recording begins
-_LONGEST_RATE = 200.0  # The most samples a second that the car server may be asked for
+UNRECORDED = ("not recorded: ", "recording: ")
+"""How what a snapshot says against its recording begins."""
+LONGEST_RATE = 200.0
+"""The most samples a second that the car server may be asked for."""
 
 
 class Panel:
@@ -159,7 +161,7 @@ class Panel:
                 if not self.live and said not in ("", told):
                     print(said, flush=True)
                 told = said
-                lost = next((w for w in snapshot.text.split("\n") if w.startswith(_UNRECORDED)), unrecorded)
+                lost = next((w for w in snapshot.text.split("\n") if w.startswith(UNRECORDED)), unrecorded)
                 if not self.live and lost != unrecorded:
                     print(unrecorded := lost, file=sys.stderr, flush=True)
                 if snapshot.mode is not (last and last.mode) or time.monotonic() - drawn > 0.12:
@@ -183,8 +185,11 @@ class Panel:
         asked = "nothing yet" if here.asked is None else f"{degrees_of(here.asked):+.1f} deg"
         sent = f"{degrees_of(s.command):+.1f} deg" if s.mode is Mode.ENGAGED else "nothing"
         who = STEERS[here.learner_steers] if s.mode is Mode.ENGAGED else ""
-        late = f"p99 {1e3 * timing.jitter(0.99):.2f} ms late" if timing and timing.steps else ""
-        steps = late and f"{timing.steps}, misses {timing.misses}, {late}"
+        steps = (
+            timing
+            and timing.steps
+            and f"{timing.steps}, misses {timing.misses}, p99 {1e3 * timing.jitter(0.99):.2f} ms late"
+        )
         rows: list[tuple[str, Any]] = [
             ("state", Text(f"{s.mode}", style=f"bold {colour}")),
             ("cause", cause),
@@ -228,8 +233,9 @@ def line_of(s: Snapshot) -> str:
 
 def witness_line(astray: float) -> str:
     """What a positioning system that lies unnoticed can do."""
-    told = f"in {astray:.1f} s" if astray < HORIZON else f"not in {HORIZON:g} s"
-    told = "not known yet" if math.isnan(astray) else told
+    told = (
+        "not known yet" if math.isnan(astray) else f"in {astray:.1f} s" if astray < HORIZON else f"not in {HORIZON:g} s"
+    )
     return f"a pose that lies unnoticed leads the car {ASTRAY:g} m off: {told}"
 
 
@@ -307,8 +313,8 @@ def stream(link: CarClient, server: Any, *, rate: float = 20.0) -> None:
     The car waits for nothing of this: it answers a query as it does the panel's, and no order is ever given.
     link: to the car server, with `controller=False`. server: `steerkit.logs.foxglove.Server`. rate: of queries [1/s].
     """
-    valid = f"rate = {rate} 1/s, expected more than 0, up to {_LONGEST_RATE:g}"
-    require(0.0 < rate <= _LONGEST_RATE, "car stream", valid)
+    valid = f"rate = {rate} 1/s, expected more than 0, up to {LONGEST_RATE:g}"
+    require(0.0 < rate <= LONGEST_RATE, "car stream", valid)
     server.begin(list(SHOWN.values()))
     clock, last = Clock(), -math.inf
     while True:

@@ -56,8 +56,9 @@ def open_bus(arguments: dict[str, Any]) -> Any:
         return can.Bus(**checked(arguments), ignore_config=True)  # python-can would read more from files
     except Exception as error:  # the interfaces' own libraries raise whatever they like, a NameError included
         where = ", ".join(f"{k} = {v!r}" for k, v in arguments.items())
-        hint = "is the adapter there and free, its interface installed?"
-        raise OSError(f"bus {where}: cannot be opened ({error}); {hint}") from error
+        raise OSError(
+            f"bus {where}: cannot be opened ({error}); is the adapter there and free, its interface installed?"
+        ) from error
 
 
 def lost(error: Exception) -> Exception:

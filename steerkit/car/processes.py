@@ -204,8 +204,10 @@ def simulate(
     as_told, path = loaded(config, "-")
     arguments = bus_of(channel)
     if arguments and arguments["interface"] == "slcan":
-        expected = "expected INTERFACE:CHANNEL, as socketcan:vcan0; leave it out for an slcan port of its own"
-        raise ValueError(f"--channel {channel!r} of a simulated car: {expected}")
+        raise ValueError(
+            f"--channel {channel!r} of a simulated car: expected INTERFACE:CHANNEL, as socketcan:vcan0; "
+            "leave it out for an slcan port of its own"
+        )
     check_pace(time_scale, arguments or {"interface": "virtual"})
     clock = Clock(scale=time_scale)
     port = BusPort(arguments) if arguments else SlcanPort()

@@ -37,8 +37,10 @@ NEAR = 0.25
 """|e| before a run [m]."""
 SHARE = 0.7
 """Of what the state machine allows, a wave may ask for that much: its run does not begin exactly on the course."""
-_EARLY = 0.8  # Of the |e| at which the car lets go, that much ends a run: then the controller takes over
-_SPARE = 1.0  # Of straight course more than a run takes, to ask for consent [s]
+EARLY = 0.8
+"""Of the |e| at which the car lets go, that much ends a run: then the controller takes over."""
+SPARE = 1.0
+"""Of straight course more than a run takes, to ask for consent [s]."""
 TRIES = 3
 """For each run that has to be valid, at the most."""
 ENDING = 5.0
@@ -117,12 +119,13 @@ def check(manoeuvre: Manoeuvre, config: CarConfig, path: Path, base: str = "stan
         hint = f"--a-y {fits:g}" if fits > 0.0 else "none fits"
         if tight:
             wrong.append(f"a_y = {asked:.3g} m/s^2, at {at:g} m/s its limits allow: {tight}: {hint}")
-        needed = at * (WARNING + _SPARE + manoeuvre.seconds)
+        needed = at * (WARNING + SPARE + manoeuvre.seconds)
         longest = float(straight(path, manoeuvre.conditions.r_max / at).max())
         if needed > longest:
             slower = f"--speed {longest / needed * at:.2g}, or " if longest > 0.0 else ""
-            way = f"it takes {needed:.0f} m straight on, the course has {longest:.0f} m"
-            wrong.append(f"{way}: {slower}another [course]")
+            wrong.append(
+                f"it takes {needed:.0f} m straight on, the course has {longest:.0f} m: {slower}another [course]"
+            )
     require(not wrong, where, "cannot be driven with this car; " + "; ".join(wrong))
 
 
@@ -242,7 +245,7 @@ class Proving:
                 yield f"drive at {c.v:g} m/s within {self._v_off:g} m/s for {c.settle:g} s: it is {s.v:.1f} m/s"
             if not abs(sum(one.r for one in recent)) < c.r_max * max(len(recent), 1):
                 yield f"drive straight on for {c.settle:g} s, |r| below {c.r_max:g} rad/s in the mean"
-            left = WARNING + _SPARE if self._warned == -math.inf else WARNING - (s.t - self._warned)
+            left = WARNING + SPARE if self._warned == -math.inf else WARNING - (s.t - self._warned)
             needed = s.v * (left + self._seconds)
             free = float(self._free[int(live.sample["path.s"]) % len(self._free)])
             if not needed <= free:
@@ -290,7 +293,7 @@ class Proving:
         if not self.follow.engaged:
             yield line_of(s)
         rows = [("a_y", s.a_y, abort.a_y, "m/s^2"), ("r", s.r, abort.r, "rad/s")]
-        rows.append(("e", s.e, min(abort.e, _EARLY * self.config.states.e_max), "m"))
+        rows.append(("e", s.e, min(abort.e, EARLY * self.config.states.e_max), "m"))
         if not on_course(self.manoeuvre):
             rows.append((f"v - {c.v:g} m/s", s.v - c.v, self._v_off, "m/s"))
         for name, value, limit, unit in rows:

@@ -89,8 +89,9 @@ class RecordingFile:
             fcntl.flock(self._stream, fcntl.LOCK_EX)  # a reader that looks whether it is in use is gone at once
         except OSError as error:
             _log.warning("%s cannot be locked, so a reader cannot know that it is being written: %s", file, error)
-        how: Any = {"compression": CompressionType.NONE, "index_types": IndexType.CHUNK}
-        self._writer = Writer(self._stream, chunk_size=CHUNK, **how)
+        self._writer = Writer(
+            self._stream, chunk_size=CHUNK, compression=CompressionType.NONE, index_types=IndexType.CHUNK
+        )
         self._count = 0
         try:
             self._writer.start(profile=NAME, library=NAME)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
-from steerkit._support.errors import known, require
+from steerkit._support.errors import known
 from steerkit._support.files import read_bytes
 from steerkit._support.plugins import is_outside, named_in
 from steerkit.car import loop as loops
@@ -124,7 +124,8 @@ class Nets:
             return loops.controller_named(steers.name, self.config, in_time=True, run=steers.run)
         file = FilePath(steers.name)
         file = FilePath(self.run) / "nets" / file.name if self.run else file
-        require(file.is_file(), f"{file}", "the net that drove is gone; name its run's directory with --run")
+        if not file.is_file():
+            raise ValueError(f"{file}: the net that drove is gone; name its run's directory with --run")
         if hashlib.sha256(read_bytes(file)).hexdigest() != steers.sha256:
             raise ValueError(f"{file} is not the net that drove: its SHA-256 differs from the recorded one")
         return loops.policy_in(file, steers.doe, self.config)

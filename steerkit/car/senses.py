@@ -18,19 +18,23 @@ from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.vehicles.rollout import Rollout
 
-_WHEEL_RATE = 25.0  # Faster than any hand turns a wheel [rad/s]
+WHEEL_RATE = 25.0
+"""Faster than any hand turns a wheel [rad/s]."""
 EPS = 1e-9
 """An age counts as reached a nanosecond early [s], so that a wake at the very moment finds it."""
-_FOLLOW = 0.35  # The wheel has to be where the commands of so long ago, and later ones, sent it [s]
+FOLLOW = 0.35
+"""The wheel has to be where the commands of so long ago, and later ones, sent it [s]."""
 AHEAD = 0.3
 """A pose that seems to come so much quicker than the quickest so far has a wrong time stamp [s]."""
-_AHEAD_TIME = np.linspace(0.0, 4.0, 41)  # In the tightest bend of so long ahead [s], a lie does most
+AHEAD_TIME = np.linspace(0.0, 4.0, 41)
+"""In the tightest bend of so long ahead [s], a lie does most."""
 FAST, FAST_TIME = 0.04, 3.0
 """The quickest pose may not become quicker by so much within so long [s]: the clock of the time stamps runs fast."""
 _STAMP_DRIFT = 2e-4  # by how much the clock of the pose may run differently
 BEHIND, BEHIND_TIME = 0.12, 0.5
 """So much later than its counter says, the quickest of them, a frame may not come for so long [s]: they queue up."""
-_ACTS = 0.1  # The last command counts for so long as the one that the wheel answers [s]
+ACTS = 0.1
+"""The last command counts for so long as the one that the wheel answers [s]."""
 _COUNT_DRIFT = 1e-3  # by how much a sender's period may differ from the file's
 
 
@@ -86,8 +90,11 @@ class Senses:
         self.errors: deque[tuple[float, str]] = deque(maxlen=1000)
         self.error_count = 0
         self.torque_reports = 0.0
-        counted, age = [r for r in config.readers if r.period and r.counter], config.states.pose_age
-        self._punctual = {r.frame_id: Punctuality(r.period, r.modulus, age) for r in counted}
+        self._punctual = {
+            r.frame_id: Punctuality(r.period, r.modulus, config.states.pose_age)
+            for r in config.readers
+            if r.period and r.counter
+        }
         self._times: dict[int, deque[float]] = {i: deque(maxlen=1000) for i in self._readers}
         self.foreign: tuple[float, str] = (-math.inf, "")
         self._errors_of_path: deque[tuple[float, float]] = deque()  # (t, |e|), each the least from then on
@@ -153,7 +160,7 @@ class Senses:
                 self._grave(t, what)
         if "delta_sw" in values and "delta_sw" in self.values and gap < 1.0:
             turned = abs(values["delta_sw"] - self.values["delta_sw"])
-            if turned > _WHEEL_RATE * gap + 0.2:
+            if turned > WHEEL_RATE * gap + 0.2:
                 self._grave(t, f"the wheel jumped by {degrees_of(turned):.0f} deg")
         self.values |= values
         if "r" in values and {"psi", "v", "delta_sw", "v_kit"} <= self.values.keys():
@@ -212,7 +219,7 @@ class Senses:
         v = self.values.get("v_kit", math.nan)
         if t - self._asked >= 1.0 and math.isfinite(v):
             s = self._place.s if self._place else 0.0
-            bends = abs(self._tracker.path.kappa(s + abs(v) * _AHEAD_TIME))
+            bends = abs(self._tracker.path.kappa(s + abs(v) * AHEAD_TIME))
             self._asked, self._astray = t, self._motion.astray(v, float(bends.max()))
         return self._astray
 
@@ -266,7 +273,7 @@ class Senses:
                 self.echo_ok = max(self.echo_ok, superseded)
                 break
             superseded = t
-        late = [delta_sw for t, delta_sw in sent if t >= arrived - _FOLLOW] or [sent[-1][1]]
+        late = [delta_sw for t, delta_sw in sent if t >= arrived - FOLLOW] or [sent[-1][1]]
         slack = self.config.states.follow_angle
         if min(late) - slack <= self.values["delta_sw"] <= max(late) + slack:
             self.follow_ok = arrived
@@ -274,7 +281,7 @@ class Senses:
     def _check_signs(self, arrived: float, sent: Sequence[tuple[float, float]]) -> None:
         known, names = self.values, ("v", "r", "psi")
         if all([name in known for name in names]):
-            command = sent[-1][1] if sent and arrived - sent[-1][0] < _ACTS else math.nan
+            command = sent[-1][1] if sent and arrived - sent[-1][0] < ACTS else math.nan
             self.signs.add(arrived, command=command, wheel=known["delta_sw"], **{name: known[name] for name in names})
 
     def _locate(self, gap: float) -> None:

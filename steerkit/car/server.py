@@ -28,10 +28,12 @@ from steerkit.paths.path import Path
 _log = logging.getLogger("steerkit.car")
 MAX_CLIENTS = 16
 """Clients at once."""
-_MAX_TURN = 32  # Packets of one client before the others have their turn
+MAX_TURN = 32
+"""Packets of one client before the others have their turn."""
 MAX_RATE = 2000
 """Packets of one client within a second; who sends more is hung up on."""
-_MAX_GARBLED = 20  # Lines within a second that are no frames, from which the adapter counts as broken
+MAX_GARBLED = 20
+"""Lines within a second that are no frames, from which the adapter counts as broken."""
 
 
 class CarServer:
@@ -202,7 +204,7 @@ class CarServer:
 
     def _receive(self, link: int, client: socket.socket) -> None:
         times = self._packets.setdefault(link, deque(maxlen=MAX_RATE))
-        for _ in range(_MAX_TURN):
+        for _ in range(MAX_TURN):
             try:
                 packet = client.recv(protocol.MAX_PACKET)
             except BlockingIOError:
@@ -237,7 +239,7 @@ class CarServer:
 
     def _listen_to_bus(self) -> None:
         """The bus's thread: frames with their time of arrival into a queue; interfaces differ in how to wait."""
-        garbled: deque[float] = deque(maxlen=_MAX_GARBLED)
+        garbled: deque[float] = deque(maxlen=MAX_GARBLED)
         while not self.stopping:
             try:
                 message = self._bus.recv(0.1)
@@ -246,7 +248,7 @@ class CarServer:
                 if isinstance(error, (ValueError, IndexError)) or isinstance(error.__cause__, ValueError):
                     # a line that is no frame, which python-can cannot read: counted, not the end
                     garbled.append(time.monotonic())
-                    if len(garbled) < _MAX_GARBLED or garbled[-1] - garbled[0] > 1.0:
+                    if len(garbled) < MAX_GARBLED or garbled[-1] - garbled[0] > 1.0:
                         self._put((self.clock.now(), -1, str(error.__cause__ or error).encode()[:200], "bad"))
                         if error.__cause__:  # slcan would find what it cannot decode before every later line
                             with contextlib.suppress(Exception):

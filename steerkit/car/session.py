@@ -114,8 +114,9 @@ def session(options: Options) -> Iterator[Session]:
             socket = options.socket or processes.default_socket()
             if options.simulated:  # never through a car server that may have a real car at its other end
                 socket = options.socket or stack.enter_context(tempfile.TemporaryDirectory()) + "/car"
-                scale = options.time_scale
-                process, channel = processes.start_simulated(options.config, time_scale=scale, **options.simulate)
+                process, channel = processes.start_simulated(
+                    options.config, time_scale=options.time_scale, **options.simulate
+                )
                 started.append(process)
             here = Session(options, socket, channel)
             here.signals = signals
@@ -128,8 +129,9 @@ def session(options: Options) -> Iterator[Session]:
             else:
                 here.recording = ""
                 unused = f"; --recording {options.recording} is NOT written" if options.recording else ""
-                own = f"with its own configuration and recording{unused}"
-                print(f"the car server at {socket} is used as it runs, {own}")
+                print(
+                    f"the car server at {socket} is used as it runs, with its own configuration and recording{unused}"
+                )
             here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))
             here.watched = Watched(here.config, here.link.note)
             if options.realtime:
@@ -241,10 +243,9 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
                 run = learner.run(60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)
             print(learner.status())
             merit = learner.figures()
-    name = "nfq" if place == loops.LEARNED else place
     print(
-        f"policies and transitions in {place}; drive with them: "
-        f"steerkit drive --car {options.config} --controller {name}"
+        f"policies and transitions in {place}; drive with them: steerkit drive --car {options.config} --controller "
+        f"{'nfq' if place == loops.LEARNED else place}"
     )
     return finished(here, run) | merit
 

@@ -191,7 +191,8 @@ class Machine(NamedTuple):
 # Each of the checks yields what does not hold, as `name: why`. Comparisons are written so that a NaN is broken.
 
 
-_ANEW = "if its clock was set anew, acknowledge (a) while in STANDBY"  # The way back from a time stamp that misleads
+ANEW = "if its clock was set anew, acknowledge (a) while in STANDBY"
+"""The way back from a time stamp that misleads."""
 
 
 def age_ms(age: float) -> str:
@@ -225,7 +226,7 @@ def always(li: StateLimits, f: Facts) -> Iterator[str]:
     if not f.report_age < li.report_age:
         yield f"report stale: report {age_ms(f.report_age)}"
     if not f.pose_age < li.pose_age:
-        late = f", {age_ms(f.pose_late)} of it by its time stamp: {_ANEW}" if f.pose_late > 0.02 else ""
+        late = f", {age_ms(f.pose_late)} of it by its time stamp: {ANEW}" if f.pose_late > 0.02 else ""
         yield f"pose stale: pose {age_ms(f.pose_age)}{late}"
     if f.integrity_errors >= li.integrity_errors:
         yield f"integrity: {f.integrity_errors} errors within 1 s, last: {f.integrity}"

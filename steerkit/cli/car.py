@@ -25,8 +25,11 @@ from steerkit.cli.options import BusOptions, CarOptions, car_options, drive_opti
 from steerkit.diagram.units import radians_of
 from steerkit.logs.foxglove import Server
 
-_HELP = "A car on a CAN bus. No car has been driven with this software: see docs/real-car.md."
-app = typer.Typer(help=_HELP, no_args_is_help=True, pretty_exceptions_enable=False)
+app = typer.Typer(
+    help="A car on a CAN bus. No car has been driven with this software: see docs/real-car.md.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
 
 Config = Annotated[str, typer.Option("--config", help="TOML file, or a shipped one: dbw-kit.toml.")]
 Socket = Annotated[str, typer.Option(help="Unix socket of the car server.")]

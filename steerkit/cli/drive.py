@@ -189,7 +189,8 @@ def _place_of_its_own(place: Path) -> Path:
 def _learned(where: str, seed: int) -> str:
     """The directory of the run that `learn`, called with the same options, makes."""
     place = Path("runs") / f"default-{where}-seed{seed}"
-    require(place.is_dir(), "drive nfq", f"there is no {place}; `steerkit learn` with the same options makes it")
+    if not place.is_dir():
+        raise ValueError(f"drive nfq: there is no {place}; `steerkit learn` with the same options makes it")
     return str(place)
 
 

@@ -111,7 +111,8 @@ def _to_minari(run: Path, name: str) -> dict[str, Any]:
 
     experiment = rundir.experiment_of(run)
     setting = experiment.setting
-    chosen: Any = {"actions": setting.actions, "doe": setting.doe, "cost": rundir.plain(setting.cost)}
-    task = Task(scenario=asdict(experiment.scenario), **chosen)
+    task = Task(
+        scenario=asdict(experiment.scenario), actions=setting.actions, doe=setting.doe, cost=rundir.plain(setting.cost)
+    )
     data = to_minari(rundir.load(run).transitions, name, task, description=f"steerkit learn: {experiment}")
     return {"name": name, "episodes": int(data.total_episodes), "steps": int(data.total_steps)}

@@ -26,7 +26,8 @@ from steerkit.plots.style import save
 from steerkit.vehicles import scaled, vehicle
 from steerkit.vehicles import vehicle as vehicle_named
 
-_FITS = ("rms", "rms_driving", "mean_driving", "rms_rezeroed", "zero_shift")  # Numbers of a prediction
+_FITS = ("rms", "rms_driving", "mean_driving", "rms_rezeroed", "zero_shift")
+"""Numbers of a prediction."""
 
 
 def identify(
@@ -122,7 +123,9 @@ def identify(
         print(json.dumps(answer))
 
 
-def _report(console: Any, identified: Any, prediction: Any, ahead: Any, grip: Any, residual: Any, quiet: bool) -> None:
+def _report(
+    console: Any, identified: Any, prediction: Any, ahead: Any, grip: Any, residual: Any, *, quiet: bool
+) -> None:
     if not quiet:
         for part in (identified.fit, *([prediction] if prediction else ())):
             for note in part.drive.notes:
@@ -231,8 +234,9 @@ def _compare(console: Any, driven: list[Any]) -> None:
     ):
         table.add_row(text, "", *(f"{row[key]:.2f}" for row in rows))
     console.print(table)
-    head = ("controller", "t (s)", "v (m/s)", "driven (deg)", "again (deg)", "differs (deg)")
-    places = Table(*head, title="Most otherwise")
+    places = Table(
+        "controller", "t (s)", "v (m/s)", "driven (deg)", "again (deg)", "differs (deg)", title="Most otherwise"
+    )
     for row in rows:
         for p in row["places"]:
             numbers = (p["t"], p["v"], p["driven_deg"], p["again_deg"], p["differs_deg"])

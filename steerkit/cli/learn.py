@@ -102,15 +102,22 @@ def learn(
     if options.car:
         place = out or loops.LEARNED
         chosen = changed(named(setting), changes or ())
-        how_long = {"minutes": _minutes(minutes, None) or 0.0, "seed": options.seed}
-        figures = car_session.learn(shared.car_options(options, options.car), chosen, place, **how_long)  # type: ignore[arg-type]
+        figures = car_session.learn(
+            shared.car_options(options, options.car),
+            chosen,
+            place,
+            minutes=_minutes(minutes, None) or 0.0,
+            seed=options.seed,
+        )
         if options.as_json:
             print(json.dumps(figures))
         return
     experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
-    driven = shared.driven_on(experiment.scenario, options.conditions)
-    place = out or Path("runs") / f"{name}-{driven}-seed{experiment.seed}"
+    place = (
+        out
+        or Path("runs") / f"{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
+    )
     console.stderr = options.as_json
     signals = (*SIGNALS, *SAFETY_SIGNALS * experiment.setting.safe)
     with shared.streamed(stream, signals=signals) as each:
@@ -124,8 +131,9 @@ def learn(
         except OSError as error:
             begun = (place / "run.json").exists()
             kept = f"the run is kept up to its last training; the same with --out {place} goes on from there"
-            lost = f"nothing was learned: --out {place} cannot be written; give another directory"
-            error.add_note(kept if begun else lost)
+            error.add_note(
+                kept if begun else f"nothing was learned: --out {place} cannot be written; give another directory"
+            )
             raise
         report.show(place, quiet=options.quiet)
     if options.as_json:
@@ -161,8 +169,10 @@ def _from_log(
         for note in (*drive.notes, *filter(None, [assumed])):
             console.print(note, soft_wrap=True, highlight=False, markup=False)
     name = Path(files[0]).name.partition(".")[0]
-    driven = shared.driven_on(experiment.scenario, options.conditions)
-    place = out or Path("runs") / f"from-{name}-{driven}-seed{options.seed}"
+    place = (
+        out
+        or Path("runs") / f"from-{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{options.seed}"
+    )
     with Progress(console=console, disable=options.quiet or not console.is_terminal) as bar:
         task = bar.add_task("updates", total=updates)
         run = from_log(

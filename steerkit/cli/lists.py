@@ -23,7 +23,8 @@ from steerkit.plots.style import save
 from steerkit.vehicles import VEHICLES, FleetCar, Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
 
-_ALSO: dict[str, str] = WORDS["courses"]  # What else can be named, and what it is
+ALSO: dict[str, str] = WORDS["courses"]
+"""What else can be named, and what it is."""
 
 
 def courses(
@@ -45,17 +46,18 @@ def courses(
         _of_file(file, to, plot, vehicle, as_json)
         return
     if to is not None or plot is not None:
-        name = "name it: steerkit courses lap.gpx --to lap.csv"
-        raise ValueError(f"--to and --plot make something of a map's file; {name}")
+        raise ValueError(
+            "--to and --plot make something of a map's file; name it: steerkit courses lap.gpx --to lap.csv"
+        )
     rows = [_of_path(name, course(name)) for name in names()]
     if as_json:
-        print(json.dumps({"courses": rows, "also": _ALSO}))
+        print(json.dumps({"courses": rows, "also": ALSO}))
         return
     table = Table("course", "length (m)", "closed", "tightest radius (m)")
     for name, length, closed, radius in (row.values() for row in rows):
         table.add_row(name, f"{length:.0f}", "yes" if closed else "no", f"{radius:.1f}" if radius else "straight")
     Console().print(table)
-    for name, what in _ALSO.items():
+    for name, what in ALSO.items():
         print(f"{name:12s} {what}")
 
 
@@ -101,8 +103,11 @@ def _list(found: importers.Map, file: str, as_json: bool) -> None:
         pieces = [found.pieces[name] for name in parts]
         lanes = list(dict.fromkeys(piece.lane for piece in pieces))
         after = {found.pieces[name].group for piece in pieces for name in piece.next if name in found.pieces} - {group}
-        named = [lane for lane in lanes if lane]
-        row: dict[str, Any] = {found.kind: group, "length_m": found.length_of(group), "lanes": named}
+        row: dict[str, Any] = {
+            found.kind: group,
+            "length_m": found.length_of(group),
+            "lanes": [lane for lane in lanes if lane],
+        }
         rows.append(row | {"leads_to": sorted(after), "about": " ".join(dict.fromkeys(p.about for p in pieces))})
     notes = [*found.notes, *found.left_out]
     if as_json:
@@ -146,7 +151,8 @@ def vehicles(
                 "slowest_mps": member and member.slowest,
             }
         )
-    require(rows, "vehicles", f"no name has '{having}' in it; without it all are listed")
+    if not rows:
+        raise ValueError(f"vehicles: no name has '{having}' in it; without it all are listed")
     if as_json:
         print(json.dumps({"vehicles": rows}))
         return
@@ -160,7 +166,8 @@ def vehicles(
     Console(width=max(80, Console().width)).print(table)  # a narrower terminal would cut off words
 
 
-_FILES: dict[str, list[str]] = WORDS["new"]  # By kind: its file among the templates, and what to call with it
+_FILES: dict[str, list[str]] = WORDS["new"]
+"""By kind: its file among the templates, and what to call with it."""
 
 
 def new(

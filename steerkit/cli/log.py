@@ -202,8 +202,11 @@ def _drive(drive: Drive) -> Any:
         where.plot(np.asarray(drive.x), np.asarray(drive.y), color=COLOURS["learned"], lw=1.0)
         where.set(xlabel="x [m]", ylabel="y [m]")
         where.set_aspect("equal", adjustable="datalim")
-    wheel, rate = ("steering wheel [deg]", drive.delta_sw), ("yaw rate [deg/s]", drive.r)
-    curves = ((wheel[0], degrees_of(wheel[1])), ("speed [m/s]", drive.v), (rate[0], degrees_of(rate[1])))
+    curves = (
+        ("steering wheel [deg]", degrees_of(drive.delta_sw)),
+        ("speed [m/s]", drive.v),
+        ("yaw rate [deg/s]", degrees_of(drive.r)),
+    )
     for ax, (label, values) in zip(axes, curves):
         ax.plot(drive.t, np.where(drive.measured, values, np.nan), color=COLOURS["learned"], lw=0.9)
         ax.plot(drive.t, np.where(drive.measured, np.nan, values), color=COLOURS["muted"], lw=0.9, ls=":")

@@ -156,8 +156,11 @@ def drive_options(command: Callable[..., None]) -> Callable[..., None]:
         options = kind(**{name: values.pop(name) for name in shared})
         command(**values, **{receiver: options})
 
-    listed = [p for own_ in own.values() for p in (shared.values() if own_.name == receiver else (own_,))]
-    parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in listed]
+    parameters = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for p in own.values()
+        for parameter in (shared.values() if p.name == receiver else (p,))
+    ]
     wrapper.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapper.__annotations__ = {p.name: p.annotation for p in parameters}
     return wrapper
@@ -187,8 +190,9 @@ def scenario_of(ctx: typer.Context, base: Scenario | None = None) -> Scenario:
     if base is None:
         return Scenario.under(options["conditions"], **changes)
     if "conditions" in names:
-        disturbed = CONDITIONS[known(options["conditions"], CONDITIONS, "conditions")]
-        base = base.with_(sensors=_UNDISTURBED).with_(**disturbed)
+        base = base.with_(sensors=_UNDISTURBED).with_(
+            **CONDITIONS[known(options["conditions"], CONDITIONS, "conditions")]
+        )
     if "vehicle" in names:  # its file's [steering] comes with it
         base = base.with_(vehicle=changes["vehicle"])
         base = base.with_(steering=base.vehicle.steering_in_file())

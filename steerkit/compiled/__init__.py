@@ -44,8 +44,9 @@ class NativeProgram:
         inputs = {number: len(arguments) for _, number, _, *arguments in calls}
         self._errors: list[BaseException] = []
         self._callbacks = [self._callback(routine, inputs[i]) for i, routine in enumerate(trace.routines)]
-        starts = [ctypes.cast(each, ctypes.c_void_p).value for each in self._callbacks]
-        addresses = [address for start in starts for address in (start, None)]
+        addresses = [
+            address for each in self._callbacks for address in (ctypes.cast(each, ctypes.c_void_p).value, None)
+        ]
         self._routines = (ctypes.c_void_p * max(1, len(addresses)))(*addresses)
 
     def _callback(self, routine: Routine, inputs: int) -> Any:
@@ -113,7 +114,8 @@ class NativeProgram:
         return rows[..., :cars], slots, _apart(state)[:, :cars]
 
 
-_ENOUGH = 2e6  # Vector instructions, about two milliseconds, from which on the start of threads is worth its time
+_ENOUGH = 2e6
+"""Vector instructions, about two milliseconds, from which on the start of threads is worth its time."""
 
 
 def _kept(k: int, stop: int, every: int) -> int:
@@ -166,11 +168,13 @@ def compile(
     """A loop as fast as the machine allows; runs give the same `Log` as `simulate`.
 
     backend: "c" (through gcc, kept in a cache on disk; for one car and for many), "python" (generated floats, quickest
-    to make) or "auto": C where there is a compiler, else Python and a warning. record: signals to keep (default: all);
-    every: keep one tick in `every`. parameters: block fields to leave open, such as "controller.k" or "car.vehicle.m";
-    `run` takes a value for each, or one a car (for a field that is a tuple, such as a policy's weights: an array (n,),
-    or (n, N) for N cars). Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError
-    for backend "c" without a compiler; KeyError for an unknown signal; ValueError for a bad argument.
+    to make) or "auto": C where there is a compiler, else Python and a warning.
+    record: signals to keep (default: all); every: keep one tick in `every`. parameters: block fields to leave open,
+    such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car (for a field that is a
+    tuple, such as a policy's weights: an array (n,), or (n, N) for N cars).
+
+    Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError for backend "c" without
+    a compiler; KeyError for an unknown signal; ValueError for a bad argument.
     """
     require(every >= 1, "compile", f"every = {every}, expected a whole number >= 1")
     require(backend in ("auto", "python", "c"), "compile", f"backend {backend!r}; valid: auto, python, c")

@@ -14,10 +14,21 @@ Node = tuple[Any, ...]
 """`(op, *operands)`: operands are numbers of earlier nodes, except of const (its hex), in (slot), row (table number,
 index, column), call (routine number, how many numbers it gives, its arguments) and result (a call, column)."""
 
-_COMPARE = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
-_LOGIC = {"and": "&", "or": "|"}
-BOOLEAN = frozenset({*_COMPARE, *_LOGIC, "not"})
-INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"} | _COMPARE | _LOGIC
+_COMPARE = frozenset({"lt", "le", "eq", "ne"})
+_LOGIC = frozenset({"and", "or"})
+BOOLEAN = _COMPARE | _LOGIC | {"not"}
+INFIX = {
+    "add": "+",
+    "sub": "-",
+    "mul": "*",
+    "div": "/",
+    "lt": "<",
+    "le": "<=",
+    "eq": "==",
+    "ne": "!=",
+    "and": "&",
+    "or": "|",
+}
 """How C writes what stands between two operands."""
 FUNCTIONS = frozenset({"sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "floor", "atan2"})
 
@@ -236,5 +247,6 @@ for _name, _op in {"radd": "add", "rsub": "sub", "rmul": "mul", "rtruediv": "div
 for _name in ("neg", "abs"):
     setattr(Symbol, f"__{_name}__", lambda a, op=_name: _of(op, a))
 _NAMES = {"fabs": "abs", "if_else": "select", "logic_and": "and", "logic_or": "or", **dict(zip(FUNCTIONS, FUNCTIONS))}
-_BOUND = {name: functools.partial(_of, op) for name, op in _NAMES.items()}
-Symbol.functions = SimpleNamespace(row=_row, call=_call, **_BOUND)
+Symbol.functions = SimpleNamespace(
+    row=_row, call=_call, **{name: functools.partial(_of, op) for name, op in _NAMES.items()}
+)

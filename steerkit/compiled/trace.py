@@ -49,8 +49,9 @@ class Layout:
     def pack(self, x: Sequence[Any], y: Sequence[Any]) -> list[Any]:
         """The numbers (or arrays, or symbols) of a state in slot order."""
         held = zip(self.signals.values(), [value for values in y for value in values])
-        values = [v for (_, size), value in held for v in ([value] if size is None else value)]
-        return [v for state in x for v in state] + values
+        return [v for state in x for v in state] + [
+            v for (_, size), value in held for v in ([value] if size is None else value)
+        ]
 
     def unpack(self, values: Sequence[Any]) -> tuple[list[Any], list[Any]]:
         """States and outputs, shaped as in the loop, from numbers in slot order."""
@@ -114,9 +115,10 @@ class Trace:
     def instructions(self) -> int:
         """Operations in one period."""
         free = ("const", "in", "row", "result")
-        nodes = [(len(phases), tick, tick.graph.order(tick.roots)) for tick, phases in self.kinds]
-        needed = [(many, [tick.graph.nodes[i][0] for i in order]) for many, tick, order in nodes]
-        counts = [many * sum(op not in free for op in ops) for many, ops in needed]
+        counts = [
+            len(phases) * sum(tick.graph.nodes[i][0] not in free for i in tick.graph.order(tick.roots))
+            for tick, phases in self.kinds
+        ]
         return sum(counts)
 
 

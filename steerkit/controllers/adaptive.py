@@ -8,23 +8,30 @@ from typing import Any, NamedTuple
 from steerkit._support.errors import number, require, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, State, entries_of, require_ports, take_ports, without_port
+from steerkit.diagram.maths import Scalar
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.task import STOP
 
-_EVERY = 5.0  # Samples after which the estimate of the dead time is read again: its fits take longer than all the rest
+_EVERY = 5.0
+"""Samples after which the estimate of the dead time is read again: its fits take longer than all the rest."""
 
 
 class _Own(NamedTuple):
     """The last entries of the state."""
 
-    delay_lag: m.Scalar  # Dead time and lag as last read [s]; its deviation [s]; was it valid?
-    deviation: m.Scalar
-    valid: m.Scalar
-    since: m.Scalar  # Samples since then
-    standby: m.Scalar  # Did another controller steer?
-    delay: m.Scalar  # What is believed: dead time [s] ..
-    ratio: m.Scalar  # ... and ratio over the data sheet's [1]
+    delay_lag: Scalar
+    """Dead time and lag as last read [s]; its deviation [s]; was it valid?"""
+    deviation: Scalar
+    valid: Scalar
+    since: Scalar
+    """Samples since then."""
+    standby: Scalar
+    """Did another controller steer?"""
+    delay: Scalar
+    """What is believed: dead time [s] ..."""
+    ratio: Scalar
+    """... and ratio over the data sheet's [1]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -88,8 +95,9 @@ class Adaptive(Block):
     def __post_init__(self) -> None:
         super().__post_init__()
         where, n = "Adaptive", len(self.delays)
-        many = f"{len(self.blocks)} blocks for {n} delays, expected 2 or more"
-        require(len(self.blocks) == n and n >= 2, where, many)
+        require(
+            len(self.blocks) == n and n >= 2, where, f"{len(self.blocks)} blocks for {n} delays, expected 2 or more"
+        )
         step = self.delays[1] - self.delays[0]
         even = all(abs(b - a - step) < 1e-9 for a, b in zip(self.delays, self.delays[1:]))
         require(step > 0.0 and even, where, f"delays = {self.delays} [s], expected growing by the same step")
@@ -124,7 +132,7 @@ class Adaptive(Block):
         own = _Own(0.0, 0.0, 0.0, since=_EVERY, standby=0.0, delay=self.prior_delay, ratio=1.0)
         return (*inner, *[m.filled(value, batch) for value in own])
 
-    def believed(self, x: State) -> tuple[m.Scalar, m.Scalar]:
+    def believed(self, x: State) -> tuple[Scalar, Scalar]:
         """Dead time [s] and steering ratio over the data sheet's [1] that it believes in state `x`."""
         own = _own(x)
         return own.delay, own.ratio
@@ -144,16 +152,19 @@ class Adaptive(Block):
         due = own.since >= _EVERY
         if due is not False:
             y = self.delay.output(t, state, ())
-            read = own._replace(delay_lag=y.delay_lag, deviation=y.delay_lag_deviation)
-            read = read._replace(valid=y.delay_lag_valid, since=0.0)
+            read = own._replace(
+                delay_lag=y.delay_lag, deviation=y.delay_lag_deviation, valid=y.delay_lag_valid, since=0.0
+            )
             own = _Own(*[m.where(due, now, old) for now, old in zip(read, own)])
         return own._replace(since=own.since + 1.0)
 
     def settle(self, t: float, x: State, u: Any) -> State:
         states = self._states(x)
-        ratio, pairs = _own(x).ratio, zip(self.blocks, states)
-        anew = [block.settle(t, state, self._seen(block, block.D, u, ratio)) for block, state in pairs]
-        settled = [value for state in anew for value in state]
+        settled = [
+            value
+            for block, state in zip(self.blocks, states)
+            for value in block.settle(t, state, self._seen(block, block.D, u, _own(x).ratio))
+        ]
         return (*settled, *x[len(settled) :])
 
     def output(self, t: Any, x: State, u: Any) -> Any:
@@ -178,8 +189,10 @@ class Adaptive(Block):
         own = self._read(t, _own(x), states[-2])
         standby, ratio = own.standby, own.ratio
         sheet = y._replace(delta_sw=y.delta_sw / ratio)
-        pairs = zip(self.blocks, states)
-        after = [block.update(t, x, self._seen(block, block.U, u, ratio), sheet) for block, x in pairs]
+        after = [
+            block.update(t, state, self._seen(block, block.U, u, ratio), sheet)
+            for block, state in zip(self.blocks, states)
+        ]
         known = self.steering.output(t, states[-1], ())
         sent = u.doe if self.takes_turns else y.delta_sw
         after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - standby, u.r, u.v), ()))
@@ -204,18 +217,13 @@ class Adaptive(Block):
         return (*[value for state in after for value in state], *own)
 
     def _followed(
-        self,
-        before: m.Scalar,
-        value: m.Scalar,
-        valid: m.Scalar,
-        rates: tuple[m.Scalar, float],
-        bounds: tuple[float, float],
-    ) -> m.Scalar:
+        self, before: Scalar, value: Scalar, valid: Scalar, rates: tuple[Scalar, float], bounds: tuple[float, float]
+    ) -> Scalar:
         """What is believed a sample later; rates: the fastest of its fall and of its growth."""
         step = m.clip(m.clip(value, *bounds) - before, -rates[0] * self.dt, rates[1] * self.dt)
         return before + m.where(m.both(valid > 0.5, m.is_finite(value)), step, 0.0)
 
-    def _seen(self, block: Block, ports: Any, u: Any, ratio: m.Scalar) -> Any:
+    def _seen(self, block: Block, ports: Any, u: Any, ratio: Scalar) -> Any:
         """The inputs of one controller: its own preview, and the measured wheel in terms of the data sheet's ratio."""
         values = {name: getattr(u, name) for name in ports._fields}
         if "preview" in values:

@@ -8,11 +8,13 @@ from steerkit._support.errors import number, require
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State, entries_of
+from steerkit.diagram.maths import Scalar
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import Motion, Rollout
 
-_TRUST = 0.1  # Share of a sample in how far a slow wheel is taken to be off its model: half a second
+_TRUST = 0.1
+"""Share of a sample in how far a slow wheel is taken to be off its model: half a second."""
 
 
 _SHARE_OF_TORQUE = 0.3
@@ -37,7 +39,9 @@ class DelayPredictor(Block):
     wheel's angle is taken. A negative v counts as 0. NaN in an input that the wrapped block or the prediction needs
     gives NaN out. A command that is replaced on its way to the wheel (by another controller in charge, a limiter) is
     not known here: for `delay` after a hand-over the prediction is wrong by the difference. Raises ValueError for a
-    wrapped block with other ports or sample time, and for a preview_points below 1. Source: Smith 1957 (predictor).
+    wrapped block with other ports or sample time, and for a preview_points below 1.
+
+    Source: Smith 1957 (predictor).
     """
 
     e = In("m")
@@ -63,8 +67,11 @@ class DelayPredictor(Block):
         require(not missing, where, f"{needs}; predicted are {', '.join(sorted(have))}")
         gives = [p.name for p in self.block.outputs]
         require(gives == ["delta_sw"], where, f"block with outputs {gives}, expected delta_sw only")
-        parts = {"the wrapped block": self.block.dt, "the model": self.model.dt, "its preview": self.model.preview_dt}
-        for of, dt in parts.items():
+        for of, dt in (
+            ("the wrapped block", self.block.dt),
+            ("the model", self.model.dt),
+            ("its preview", self.model.preview_dt),
+        ):
             require(self.dt == dt, where, f"dt = {self.dt} s, but {of} has {dt} s")
 
     @classmethod
@@ -79,12 +86,12 @@ class DelayPredictor(Block):
         return cls(block=block, model=model, preview_points=int(model.lookahead / dt + 1e-9) + 2, dt=dt)
 
     @property
-    def reference(self) -> m.Scalar:
+    def reference(self) -> Scalar:
         """Where e, psi_e and the preview are measured: metres ahead of the centre of gravity."""
         return self.model.reference
 
     @property
-    def rate_limit(self) -> m.Scalar:
+    def rate_limit(self) -> Scalar:
         """Fastest steering wheel [rad/s]."""
         return self.model.rate_limit
 
@@ -125,7 +132,7 @@ class DelayPredictor(Block):
             model = (self._yaw_rate_now(x, u), u.delta_sw_meas + 0.0, own, off)
         return (*inner, *[m.where(m.is_finite(value), value, 0.0) for value in model], *commands[1:])
 
-    def _yaw_rate_now(self, x: State, u: Any) -> m.Scalar:
+    def _yaw_rate_now(self, x: State, u: Any) -> Scalar:
         """r_m now; with a slew the state has that of the sample before, and the wheel of then."""
         _, n = self._inner
         if self.model.slew is None:
@@ -141,7 +148,7 @@ class DelayPredictor(Block):
         values = self.predict(self._yaw_rate_now(x, u), commands, u)
         return ports(**{name: values[name] for name in ports._fields})
 
-    def predict(self, r_model: m.Scalar, commands: State, u: Any) -> dict[str, m.Scalar]:
+    def predict(self, r_model: Scalar, commands: State, u: Any) -> dict[str, Scalar]:
         """e, psi_e, kappa, v, r, delta_sw_meas when the next command has arrived; `commands` oldest first."""
         now = Motion(u.e, u.psi_e, u.r, u.delta_sw_meas)
         then, kappa = self.model.arrived(now, commands, u.preview, m.maximum(u.v, 0.0), u.r - r_model)

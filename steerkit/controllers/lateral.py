@@ -13,6 +13,7 @@ from steerkit._support.errors import in_one_line, number, require, require_withi
 from steerkit._support.plugins import imported
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Array, Scalar
 
 DT = 0.1
 """Sample time of the task [s]: 10 Hz."""
@@ -51,7 +52,7 @@ class LateralMpc(Block):
 
     response: tuple[float, ...]
     """Answer to a step of the command of 1, over its final value: 1, 2, ... samples after it."""
-    gain: m.Scalar = number(1.0, "1", low=0.2, high=5.0)
+    gain: Scalar = number(1.0, "1", low=0.2, high=5.0)
     """g at the start."""
     gain_doubt: float = number(0.5, "1", low=0.0, high=5.0)
     """Its standard deviation then; 0: it is known, and stays."""
@@ -111,7 +112,7 @@ class LateralMpc(Block):
         inner = np.linalg.solve(hessian[later, later], hessian[later, : self.moves]).T
         known = known[: self.moves] - inner @ known[later]
         hessian = hessian[: self.moves, : self.moves] - inner @ hessian[later, : self.moves]
-        among: m.Array = hessian / np.diag(hessian)[:, None]
+        among: Array = hessian / np.diag(hessian)[:, None]
         return (-np.linalg.solve(hessian, known)).tolist(), among.tolist()
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
@@ -135,7 +136,7 @@ class LateralMpc(Block):
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         return m.chosen(m.is_finite(y.a_y_cmd), (*x[1:-4], y.a_y_cmd, *self._seen(x, u)), x)
 
-    def _seen(self, x: State, u: Any) -> tuple[m.Scalar, ...]:
+    def _seen(self, x: State, u: Any) -> tuple[Scalar, ...]:
         """g and its variance with this sample, the tyres' part of a_y, and the answer for g = 1 [m/s^2]."""
         *past, g, variance, tyres_before, answer_before = x
         answer = sum([p * c for p, c in zip(self._pulses, past[::-1])])

@@ -11,6 +11,7 @@ from steerkit._support.errors import check_numbers, number, require
 from steerkit.controllers.limits import LimitedLaw, limited
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
+from steerkit.diagram.maths import Array, Scalar, Table
 from steerkit.task import DT
 from steerkit.vehicles import Vehicle
 
@@ -22,7 +23,7 @@ _MOTION = 5  # e, theta, beta, r, delta
 _SLOWEST = 1.0  # m/s: below it, the gains stay and theta is formed with this speed
 
 
-def cost_to_go(a: m.Array, b: m.Array, q: m.Array, r: float) -> m.Array:
+def cost_to_go(a: Array, b: Array, q: Array, r: float) -> Array:
     """P (n, n) of x' P x, the sum of x' Q x + r u^2 from now on with the best feedback and without limits.
 
     x+ = A x + B u,  P = Q + A' P A - A' P B (r + B' P B)^-1 B' P A
@@ -77,7 +78,7 @@ class LqrDesign:
         """Commands to remember: those that act within the delay, one at least."""
         return max(1, int(np.ceil(self.delay / self.dt - 1e-9)))
 
-    def model(self, v: float) -> tuple[m.Array, m.Array, m.Array]:
+    def model(self, v: float) -> tuple[Array, Array, Array]:
         """A (n, n), B (n,), D (n,) of x+ = A x + B step + D kappa at speed v, exact for inputs held over dt.
 
         x = (e, theta, beta, r, delta, commands on their way, oldest first), theta the heading error psi_e:
@@ -110,7 +111,7 @@ class LqrDesign:
         kappa[:_MOTION] = (second @ first)[:_MOTION, 6]
         return whole, change, kappa
 
-    def gains(self, v: float, preview: int) -> tuple[m.Array, m.Array]:
+    def gains(self, v: float, preview: int) -> tuple[Array, Array]:
         """Feedback K (n,) and curvature gains g (preview,): step = -K x - sum_j g_j kappa_j.
 
         P from the Riccati equation, K = (R + B'P B)^-1 B'P A, F = A - B K, g_j = (R + B'P B)^-1 B'(F')^j P D; the last
@@ -164,7 +165,7 @@ class Lqr(LimitedLaw):
     delta_sw_meas = In("rad")
     delta_sw = Out("rad")
 
-    table: m.Table
+    table: Table
     """A row a speed: K, then g."""
     v_min: float = number(unit="m/s", above=0.0)
     """Speed of the first row [m/s]."""
@@ -174,7 +175,7 @@ class Lqr(LimitedLaw):
     """Where e and e_dot are measured: metres ahead of the centre of gravity."""
     preview_points: int = number(unit="1", low=1)
     """Curvatures ahead, dt apart."""
-    e_reach: m.Scalar | None = None
+    e_reach: Scalar | None = None
     """The car is taken to be at most so far off [m], so that it comes at no steeper an angle; None: no bound."""
 
     def __post_init__(self) -> None:
@@ -220,7 +221,7 @@ class Lqr(LimitedLaw):
                 slow = replace(design, step_size=min(design.step_size, step_of_slew * fastest))
             rows.append(np.concatenate((design if slew is None else slow).gains(v, preview_points)))
         return cls(
-            table=m.Table(np.array(rows)),
+            table=Table(np.array(rows)),
             v_min=v_min,
             v_step=v_step,
             preview_points=preview_points,
@@ -256,7 +257,7 @@ class Lqr(LimitedLaw):
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         return (*x[1:], m.where(m.is_finite(y.delta_sw), y.delta_sw, u.delta_sw_meas))
 
-    def _gains(self, v: m.Scalar) -> list[m.Scalar]:
+    def _gains(self, v: Scalar) -> list[Scalar]:
         """K and g at speed v, linear between the rows."""
         last = float(len(self.table) - 1)
         z = m.clip((v - self.v_min) / self.v_step, 0.0, last)

@@ -53,8 +53,10 @@ class SteeredCar:
     def corners(self, doubt: Doubt) -> "list[SteeredCar]":
         """The cars at the corners of a doubt about this one."""
         gains, errors = {doubt.gain, 1.0 / doubt.gain}, {doubt.delay, -doubt.delay}
-        pairs = product(sorted(gains), sorted(errors))
-        return [replace(self, gain=self.gain * g, delay=max(0.0, self.delay + error)) for g, error in pairs]
+        return [
+            replace(self, gain=self.gain * gain, delay=max(0.0, self.delay + error))
+            for gain, error in product(sorted(gains), sorted(errors))
+        ]
 
     def system(self, v: float, dt: float) -> tuple[Array, Array, dict[str, Array]]:
         """A, B of x+ = A x + B delta_sw at v [m/s], and the rows that make of x what a law sees."""
@@ -78,8 +80,9 @@ def linearised(block: Block, v: float) -> Law:
     make, n = entries_of(block)
     names = [port.name for port in block.inputs]
     stray = set(names) - {*_SEEN, "kappa", "preview", "v"}
-    needs = f"{type(block).__name__} needs {', '.join(sorted(stray))}, which has no model here"
-    require(not stray, "linearised", needs)
+    require(
+        not stray, "linearised", f"{type(block).__name__} needs {', '.join(sorted(stray))}, which has no model here"
+    )
     inputs = tuple([name for name in _SEEN if name in names])
     count = n + len(inputs)
     steps = _SMALL * np.kron(np.eye(count), [1.0, -1.0])
@@ -94,8 +97,9 @@ def linearised(block: Block, v: float) -> Law:
     at_rest = [np.broadcast_to(entry, still.shape) for entry in block.init((1,))]
     x = make(tuple([entry + step for entry, step in zip(at_rest, steps[:n])]))
     y = block.output(0.0, x, seen(block.D))
-    moved = [np.asarray(entry, dtype=float) for entry in block.update(0.0, x, seen(block.U), y)]
-    after = [np.broadcast_to(entry, still.shape) for entry in moved]
+    after = [
+        np.broadcast_to(np.asarray(entry, dtype=float), still.shape) for entry in block.update(0.0, x, seen(block.U), y)
+    ]
     rows = np.array([*after, np.broadcast_to(y.delta_sw, still.shape)])
     slopes = (rows[:, 0::2] - rows[:, 1::2]) / (2.0 * _SMALL)
     return Law(slopes[:n, :n], slopes[:n, n:], slopes[n, :n], slopes[n, n:], inputs)

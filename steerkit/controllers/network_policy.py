@@ -12,6 +12,7 @@ from steerkit._support.files import read_arrays, write_arrays
 from steerkit.controllers.policy import COLUMNS, LARGEST_POLICY, Policy, StateDescription, check_layers
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
+from steerkit.diagram.maths import Array
 from steerkit.diagram.units import radians_of
 
 BOUND = 10.0
@@ -30,7 +31,7 @@ class Network:
     Raises ValueError for layers that do not fit together or are not finite.
     """
 
-    layers: tuple[tuple[m.Array, m.Array], ...]
+    layers: tuple[tuple[Array, Array], ...]
     """W (n_out, n_in) and b (n_out,) of each layer."""
     activation: Literal["relu", "tanh"] = "relu"
     """Of the hidden layers."""
@@ -46,7 +47,7 @@ class Network:
         require(self.head == "argmax" or n == 1, where, f"{n} outputs, expected 1 for the head {self.head!r}")
         object.__setattr__(self, "layers", layers)
 
-    def __call__(self, x: m.Array) -> m.Array:
+    def __call__(self, x: Array) -> Array:
         """The actions (n,) for scaled states (n, columns)."""
         h = np.asarray(x, dtype=np.float64).T
         for i, (w, b) in enumerate(self.layers):
@@ -73,7 +74,7 @@ class Network:
         return action
 
 
-def angles_of(answer: Any, n: int, actions: Sequence[float] | None, largest: float, where: str) -> m.Array:
+def angles_of(answer: Any, n: int, actions: Sequence[float] | None, largest: float, where: str) -> Array:
     """The actions [rad] (n,) that an agent means by numbers of `actions` or, without them, by shares of `largest`.
 
     Raises ValueError, beginning with `where`, for anything else.
@@ -178,8 +179,12 @@ class PolicyBlock(Policy):
                 activation=str(f["activation"]),  # type: ignore[arg-type]
                 head=str(f["head"]),  # type: ignore[arg-type]
             )
-            numbers: Any = {"largest": float(f["largest"]), "dt": float(f["dt"])}
-            actions, description = tuple(f["actions"].tolist()) or None, StateDescription.of_arrays(f)
-            return cls(policy=net, actions=actions, description=description, **numbers)
+            return cls(
+                policy=net,
+                actions=tuple(f["actions"].tolist()) or None,
+                largest=float(f["largest"]),
+                description=StateDescription.of_arrays(f),
+                dt=float(f["dt"]),
+            )
         except (ValueError, TypeError, KeyError) as why:
             raise ValueError(f"{path}: the policy in it does not hold together: {why}") from why

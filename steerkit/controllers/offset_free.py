@@ -6,11 +6,13 @@ from typing import Any
 from steerkit._support.errors import number
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, State, Wrapper
+from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.task import STOP, TRIP
 from steerkit.vehicles import Vehicle, require_vehicle
 
-_SHARE = 0.5  # Of the time for which z has moved, in tau: what is left of a first error falls with its square [1]
+_SHARE = 0.5
+"""Of the time for which z has moved, in tau: what is left of a first error falls with its square [1]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,36 +32,38 @@ class OffsetFree(Wrapper):
     another one in each, and none in Stanley.
 
     z is held while |e| > reach, below v_least, while the command is at its limit or at its fastest, and where e or v is
-    not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that of
-    `block`, then z [rad], the time for which it has moved [s], the mean of e + T e' [m], the last e [m] and the last
+    not finite. Ports, units and sample time are those of `block`, which goes on from its own angle. State: that
+    of `block`, then z [rad], the time for which it has moved [s], the mean of e + T e' [m], the last e [m] and the last
     command [rad]. Valid where `block` by itself is stable. Raises ValueError for a block without the inputs e and v and
-    the output delta_sw. Source: Astrom, Hagglund 2006, section 3.5 and ch. 6 (conditional integration, cancelled pole);
-    Pannocchia, Rawlings 2003 and Maeder, Borrelli, Morari 2009 (what a model of the disturbance gives an MPC).
+    the output delta_sw.
+
+    Source: Astrom, Hagglund 2006, section 3.5 and ch. 6 (conditional integration, cancelled pole); Pannocchia, Rawlings
+    2003 and Maeder, Borrelli, Morari 2009 (what a model of the disturbance gives an MPC).
     """
 
     needs = ("e", "v")
     changes = ("delta_sw",)
 
-    steer_ratio: m.Scalar = number(15.6, "1", low=1.0, high=100.0)
+    steer_ratio: Scalar = number(15.6, "1", low=1.0, high=100.0)
     """n, steering-wheel angle over road-wheel angle [1]."""
-    approach: m.Scalar = number(0.5, "s", low=0.05, high=60.0)
+    approach: Scalar = number(0.5, "s", low=0.05, high=60.0)
     """T [s]; of the controllers of the catalogue 0.43 to 0.57 from 3 to 15 m/s, and the delay more."""
-    time: m.Scalar = number(3.0, "s", low=0.1, high=1e4)
+    time: Scalar = number(3.0, "s", low=0.1, high=1e4)
     """tau [s]."""
-    time_late: m.Scalar = number(0.0, "s", low=0.0, high=1e4)
+    time_late: Scalar = number(0.0, "s", low=0.0, high=1e4)
     """Up to which tau grows, to half of the time that z has moved, as a constant comes to be known [s]; 0: never."""
-    surprise: m.Scalar = number(0.015, "m", low=1e-4, high=1e3)
+    surprise: Scalar = number(0.015, "m", low=1e-4, high=1e3)
     """Mean of e + T e' over `time`, each counted up to twice this, beyond which d is another one [m]: tau is `time`
     again, and grows anew."""
-    most: m.Scalar = number(radians_of(60.0), "rad", low=0.0, high=30.0)
+    most: Scalar = number(radians_of(60.0), "rad", low=0.0, high=30.0)
     """Largest |z| [rad]."""
-    reach: m.Scalar = number(TRIP, "m", low=1e-3, high=1e3)
+    reach: Scalar = number(TRIP, "m", low=1e-3, high=1e3)
     """|e| beyond which the car is on its way back, and z is held [m]."""
-    v_least: m.Scalar = number(1.0, "m/s", low=0.1, high=100.0)
+    v_least: Scalar = number(1.0, "m/s", low=0.1, high=100.0)
     """Speed below which z is held [m/s]."""
-    limit: m.Scalar = number(STOP, "rad", low=1e-3, high=30.0)
+    limit: Scalar = number(STOP, "rad", low=1e-3, high=30.0)
     """Largest |delta_sw| [rad]."""
-    rate_limit: m.Scalar = number(radians_of(550.0), "rad/s", low=1e-3, high=200.0)
+    rate_limit: Scalar = number(radians_of(550.0), "rad/s", low=1e-3, high=200.0)
     """Fastest command of `block` [rad/s]; z is held from 99 % of it on."""
 
     @classmethod
@@ -111,8 +115,9 @@ class CommandCompensation(Wrapper):
 
     makes a steering that turns the wheel to gain*command + offset reach the angle that `block` asks for. Ports, units,
     state and sample time are those of `block`, which goes on from its own angle. It sees the measured angle as it is,
-    with offset and gain in it. Raises ValueError for a gain that is not positive and for a block without an output
-    delta_sw.
+    with offset and gain in it.
+
+    Raises ValueError for a gain that is not positive and for a block without an output delta_sw.
     """
 
     changes = ("delta_sw",)

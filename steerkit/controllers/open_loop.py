@@ -13,6 +13,7 @@ from steerkit._support.errors import known, number, require, require_within
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, State, Wrapper
+from steerkit.diagram.maths import Scalar, Table
 from steerkit.vehicles import Vehicle, require_vehicle
 
 
@@ -38,11 +39,11 @@ class OpenLoop(Wrapper):
     """w at 0, spacing, 2 spacing, ... [1]."""
     spacing: float = number(0.01, "s", low=1e-3, high=1.0)
     """Between two samples of the wave [s]."""
-    amplitude: m.Scalar = number(0.0, "rad", low=-30.0, high=30.0)
+    amplitude: Scalar = number(0.0, "rad", low=-30.0, high=30.0)
     """Of the steering wheel, + = left [rad]."""
     wait: float = number(0.0, "s", low=0.0, high=1e4)
     """For so long `block` steers first [s]."""
-    delay: m.Scalar = number(0.0, "s", low=0.0, high=10.0)
+    delay: Scalar = number(0.0, "s", low=0.0, high=10.0)
     """How much later the wave acts, for a batch of cars with a dead time each [s]."""
     on_top: bool = False
     """Does `block` go on steering under the wave?"""
@@ -55,7 +56,7 @@ class OpenLoop(Wrapper):
         require_within("OpenLoop", "wave", np.asarray(self.wave), "1", -10.0, 10.0)
 
     @cached_property
-    def _table(self) -> m.Table:
+    def _table(self) -> Table:
         return m.rising(self.wave)
 
     @property
@@ -88,7 +89,7 @@ class OpenLoop(Wrapper):
         trim = m.where(waits, trim + share * (own.delta_sw - trim), trim)
         return (*inner, tau + self.dt, 0.0 * x[-2] + self.number, trim)
 
-    def _since(self, x: State) -> m.Scalar:
+    def _since(self, x: State) -> Scalar:
         """Time since this wave was taken up [s]."""
         return m.where(m.absolute(x[-2] - self.number) < 0.5, x[-3], 0.0)
 
@@ -116,17 +117,17 @@ class WithExcitation(Wrapper):
 
     vehicle: Vehicle
     """The car by its data sheet, for g(v)."""
-    amplitude: m.Scalar = number(0.5, "m/s^2", low=0.0, high=3.0)
+    amplitude: Scalar = number(0.5, "m/s^2", low=0.0, high=3.0)
     """Of the lateral acceleration [m/s^2]; 0: `block` alone."""
-    frequency: m.Scalar = number(0.3, "Hz", low=0.01, high=2.0)
+    frequency: Scalar = number(0.3, "Hz", low=0.01, high=2.0)
     """[Hz]"""
-    steepness: m.Scalar = number(1.0, "1", low=1.0, high=1e3)
+    steepness: Scalar = number(1.0, "1", low=1.0, high=1e3)
     """1: a sine; the more, the more like steps [1]."""
-    most: m.Scalar = number(1.0, "rad", low=0.0, high=3.0)
+    most: Scalar = number(1.0, "rad", low=0.0, high=3.0)
     """Largest |w| [rad]."""
-    a_y_most: m.Scalar = number(2.0, "m/s^2", low=0.1, high=3.0)
+    a_y_most: Scalar = number(2.0, "m/s^2", low=0.1, high=3.0)
     """Lateral acceleration that w does not lead beyond [m/s^2]."""
-    v_least: m.Scalar = number(2.0, "m/s", low=0.5, high=20.0)
+    v_least: Scalar = number(2.0, "m/s", low=0.5, high=20.0)
     """Slowest speed with a wave [m/s]."""
     number: float = number(0.0, "1", low=0.0, high=1e6)
     """Of this wave, among those of a drive."""
@@ -147,7 +148,7 @@ class WithExcitation(Wrapper):
         inner = self.block.update(t, self.inner(x), u, own)
         return (*inner, self._since(x) + self.dt, 0.0 * x[-1] + self.number)
 
-    def _wave(self, x: State, u: Any) -> m.Scalar:
+    def _wave(self, x: State, u: Any) -> Scalar:
         """w of this sample [rad]."""
         drives = m.every(m.is_finite(u.v), m.is_finite(u.r), u.v >= self.v_least)
         v = m.where(drives, u.v, self.v_least)
@@ -157,7 +158,7 @@ class WithExcitation(Wrapper):
         wave = m.clip(self.vehicle.wheel_per_a_y(v) * m.clip(self.amplitude * swing, low, high), -self.most, self.most)
         return m.where(drives, wave, 0.0)
 
-    def _since(self, x: State) -> m.Scalar:
+    def _since(self, x: State) -> Scalar:
         """Time since this wave began [s]."""
         return m.where(m.absolute(x[-1] - self.number) < 0.5, x[-2], 0.0)
 

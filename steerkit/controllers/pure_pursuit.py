@@ -6,6 +6,7 @@ from typing import Any
 from steerkit._support.errors import number, require
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
+from steerkit.diagram.maths import Scalar
 from steerkit.paths.path import Path
 from steerkit.task import DT, STOP
 from steerkit.vehicles import Vehicle, require_vehicle
@@ -23,7 +24,9 @@ class PurePursuit(Block):
 
     Inputs: s [m] along `path` of the rear axle (a tracker with reference = -l_r); x, y [m] of the centre of gravity;
     psi [rad]; v [m/s]. Output: delta_sw [rad], within +-limit. No state. A negative v counts as 0. NaN in any input
-    gives NaN out. Source: Coulter 1992; Snider 2009, section 2.1.
+    gives NaN out.
+
+    Source: Coulter 1992; Snider 2009, section 2.1.
     """
 
     s = In("m")
@@ -35,21 +38,21 @@ class PurePursuit(Block):
 
     path: Path
     """The path."""
-    look_time: m.Scalar = number(0.5, "s", above=0.0)
+    look_time: Scalar = number(0.5, "s", above=0.0)
     """Distance to the goal over speed [s]."""
-    look_min: m.Scalar = number(2.5, "m", above=0.0)
+    look_min: Scalar = number(2.5, "m", above=0.0)
     """Least distance to the goal [m]."""
-    look_max: m.Scalar = 20.0
+    look_max: Scalar = 20.0
     """Largest distance to the goal [m]."""
-    wheelbase: m.Scalar = number(2.7, "m", above=0.0)
+    wheelbase: Scalar = number(2.7, "m", above=0.0)
     """L [m]."""
-    l_r: m.Scalar = number(1.5, "m", above=0.0)
+    l_r: Scalar = number(1.5, "m", above=0.0)
     """Centre of gravity to rear axle [m]."""
-    steer_ratio: m.Scalar = number(15.6, "1", above=0.0)
+    steer_ratio: Scalar = number(15.6, "1", above=0.0)
     """Steering-wheel angle over road-wheel angle [1]."""
-    limit: m.Scalar = number(STOP, "rad", above=0.0)
+    limit: Scalar = number(STOP, "rad", above=0.0)
     """Largest |delta_sw| [rad]."""
-    reference: m.Scalar = -1.5
+    reference: Scalar = -1.5
     """Where s has to be measured: -l_r, the rear axle [m]."""
 
     def __post_init__(self) -> None:

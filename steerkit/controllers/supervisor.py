@@ -66,8 +66,11 @@ class Supervisor(Block):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        what = f"release = {self.release} m, trip = {self.trip} m, expected 0 < release <= trip"
-        require((self.release > 0.0) & (self.release <= self.trip), "Supervisor", what)
+        require(
+            (self.release > 0.0) & (self.release <= self.trip),
+            "Supervisor",
+            f"release = {self.release} m, trip = {self.trip} m, expected 0 < release <= trip",
+        )
 
     def init(self, batch: tuple[int, ...] = ()) -> SupervisorState:
         return SupervisorState(m.filled(0.0, batch), m.filled(0.0, batch), m.filled(0.0, batch))

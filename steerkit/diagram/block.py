@@ -102,6 +102,7 @@ class Block:
     results, the object keeps nothing. A parameter declared as `gain: float = number(2.0, "1/s", low=0.0)` has its range
     checked when the block is made (ValueError). Equations use `steerkit.diagram.maths`, so that they serve floats,
     batches and CasADi symbols. A block whose `pure` is False (a real car) can be simulated, not traced or batched.
+
     Raises TypeError for a class that could remember: with an `__init__` of its own or a list, dictionary, set or array
     as a class attribute, when the class is made; without `@dataclass(frozen=True, ...)`, when its first object is.
     """
@@ -128,8 +129,9 @@ class Block:
             raise TypeError(f"{cls.__name__}: {what}: {', '.join(valid)}")
         for name in kwargs:
             if name not in valid:
-                near = f"{nearest(name, valid)}; parameters: {', '.join(valid)}"
-                raise TypeError(f"{cls.__name__} has no parameter '{name}'{near}")
+                raise TypeError(
+                    f"{cls.__name__} has no parameter '{name}'{nearest(name, valid)}; parameters: {', '.join(valid)}"
+                )
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
@@ -175,8 +177,9 @@ class Block:
 
     def __repr__(self) -> str:
         """Its parameters in a line or two, however many numbers they hold."""
-        shown = [field.name for field in dataclasses.fields(self) if field.repr]
-        values = (f"{name}={_brief(getattr(self, name))}" for name in shown)
+        values = (
+            f"{field.name}={_brief(getattr(self, field.name))}" for field in dataclasses.fields(self) if field.repr
+        )
         return f"{type(self).__name__}({', '.join(values)})"
 
     if not TYPE_CHECKING:  # a checker should see unknown names as errors
@@ -186,12 +189,15 @@ class Block:
                 raise AttributeError(name)
             ports = [p.name for p in (*self.inputs, *self.outputs)]
             fields = [f.name for f in dataclasses.fields(self)]
-            ins, outs = (", ".join(p.name for p in some) or "none" for some in (self.inputs, self.outputs))
-            what = f"{type(self).__name__} has no port or parameter '{name}'{nearest(name, ports + fields)}"
-            raise AttributeError(f"{what}; inputs: {ins}; outputs: {outs}")
+            raise AttributeError(
+                f"{type(self).__name__} has no port or parameter '{name}'{nearest(name, ports + fields)}; "
+                f"inputs: {', '.join(p.name for p in self.inputs) or 'none'}; "
+                f"outputs: {', '.join(p.name for p in self.outputs) or 'none'}"
+            )
 
 
-_SHOWN = 8  # Entries of a tuple that are printed
+_SHOWN = 8
+"""Entries of a tuple that are printed."""
 
 
 def _brief(value: Any, *, inside: bool = False) -> str:
@@ -213,8 +219,10 @@ _DECORATE = "write @dataclass(frozen=True, eq=False, kw_only=True) above the cla
 def _check_forgetful(cls: type) -> None:
     """Raise TypeError for a class whose objects would remember, as far as it can be known before it is decorated."""
     if "__init__" in vars(cls):
-        what = "a block's parameters are fields, such as `gain: float = 2.0`, and checked in __post_init__"
-        raise TypeError(f"{cls.__name__}.__init__: {what}; {_DECORATE}")
+        raise TypeError(
+            f"{cls.__name__}.__init__: a block's parameters are fields, such as `gain: float = 2.0`, and checked in "
+            f"__post_init__; {_DECORATE}"
+        )
     for name, value in vars(cls).items():
         if isinstance(value, _CHANGEABLE) and not name.startswith("__"):
             raise TypeError(

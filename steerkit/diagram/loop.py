@@ -67,8 +67,10 @@ class Wiring:
         a, b = wire
         for port in wire:
             if id(port.block) not in self._index:
-                kind = f"{type(port.block).__name__} is not in the loop; blocks: {', '.join(self.names)}"
-                raise WiringError(f"wire {a!r} -> {b!r}: {kind}")
+                raise WiringError(
+                    f"wire {a!r} -> {b!r}: {type(port.block).__name__} is not in the loop; "
+                    f"blocks: {', '.join(self.names)}"
+                )
         text = f"wire {self._label(a)} -> {self._label(b)}"
         if not isinstance(a.spec, Out) or not isinstance(b.spec, In):
             raise WiringError(f"{text}: a wire goes from an output to an input, here {a.spec.kind} to {b.spec.kind}")
@@ -93,8 +95,10 @@ class Wiring:
                 if (i, port.name) not in source:
                     named = zip(self.names, self.blocks)
                     fit = [f"{name}.{out.name}" for name, b in named for out in b.outputs if out.unit == port.unit]
-                    what = f"{self.names[i]}.{port.name} [{port.unit}] is not driven"
-                    raise WiringError(f"{what}; outputs with that unit: {', '.join(fit) or 'none'}")
+                    raise WiringError(
+                        f"{self.names[i]}.{port.name} [{port.unit}] is not driven; "
+                        f"outputs with that unit: {', '.join(fit) or 'none'}"
+                    )
         return source
 
     def _schedule(self) -> tuple[Call, ...]:
@@ -143,8 +147,10 @@ class Wiring:
         try:
             graphlib.TopologicalSorter(graph).prepare()
         except graphlib.CycleError as error:
-            cure = "make one of these inputs direct=False, or put a block with a state between"
-            raise WiringError(f"algebraic loop: {' -> '.join(error.args[1])}; {cure}") from None
+            raise WiringError(
+                f"algebraic loop: {' -> '.join(error.args[1])}; make one of these inputs direct=False, "
+                "or put a block with a state between"
+            ) from None
 
     def tick(self, due: Sequence[bool]) -> Any:
         """One tick as a straight run of Python calls: nothing is looked up that can be known beforehand."""
@@ -248,12 +254,13 @@ class Loop:
     blocks: the blocks by name, in the order wanted for display. wires: pairs of ports, `(car.v, stanley.v)`: source
     first. dt: base sample time [s]; by default the smallest of the blocks'. Each block's must be a multiple of it.
 
-    At tick k, t = k*dt: every block that is due computes its outputs, in an order in which each direct input is known
-    before it is needed; then every due block computes its next state from all its inputs at the same t. The outputs of
-    a slow block are held between its samples. Raises WiringError, naming both ends and their units, for: two different
-    units or sizes on a wire, an input that is not driven or has two sources, a wire that is no pair of an output and an
-    input, a block that is not in the loop or is in it twice, a chain of direct inputs that bites its own tail, sample
-    times that do not divide.
+    At tick k, t = k*dt: every block that is due computes its outputs, in an order in which each direct input is
+    known before it is needed; then every due block computes its next state from all its inputs at the same t. The
+    outputs of a slow block are held between its samples.
+
+    Raises WiringError, naming both ends and their units, for: two different units or sizes on a wire, an input that
+    is not driven or has two sources, a wire that is no pair of an output and an input, a block that is not in the
+    loop or is in it twice, a chain of direct inputs that bites its own tail, sample times that do not divide.
     """
 
     def __init__(self, *, blocks: Mapping[str, Block], wires: Sequence[Wire], dt: float | None = None):
@@ -374,8 +381,11 @@ class Loop:
         def moved(port: Port) -> Port:
             return getattr(block, port.spec.name) if port.block is old else port
 
-        blocks = {n: block if n == name else b for n, b in self.blocks.items()}
-        return Loop(blocks=blocks, wires=[(moved(a), moved(b)) for a, b in self.wires], dt=self.dt)
+        return Loop(
+            blocks={n: block if n == name else b for n, b in self.blocks.items()},
+            wires=[(moved(a), moved(b)) for a, b in self.wires],
+            dt=self.dt,
+        )
 
     def with_inserted(self, parts: Mapping[str, tuple[str, Block]]) -> "Loop":
         """The same loop with blocks put into its wires: `{"car.v": ("noise", block)}`, behind car.v for all its users.
@@ -484,8 +494,9 @@ class Loop:
         for out, value in zip(block.outputs, y):
             independent = out.direct is not None and not unknown & {p.name for p in out.direct}
             if unknown and independent and not m.is_symbol(value) and np.isnan(np.asarray(value, dtype=float)).any():
-                known = ", ".join(sorted(unknown))
-                raise WiringError(f"{name}.{out.name} is declared independent of {known}, but is NaN without it")
+                raise WiringError(
+                    f"{name}.{out.name} is declared independent of {', '.join(sorted(unknown))}, but is NaN without it"
+                )
 
 
 def _same(a: Any, b: Any) -> bool:

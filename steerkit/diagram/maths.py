@@ -23,7 +23,8 @@ pi = math.pi
 
 
 _NUMBERS = (float, np.ndarray)
-_FUNCTIONS: dict[type, Any] = {}  # For each type met: what computes with it, None if it is no symbol
+_FUNCTIONS: dict[type, Any] = {}
+"""For each type met: what computes with it, None if it is no symbol."""
 
 
 def _functions(x: Scalar) -> Any:

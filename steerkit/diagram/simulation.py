@@ -109,8 +109,10 @@ class Log(Mapping[str, np.ndarray]):
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        kinds = {name: pa.from_numpy_dtype(values.dtype) for (name, _), values in columns.items()}
-        fields = [pa.field(name, kinds[name], metadata={"unit": unit}) for name, unit in columns]
+        fields = [
+            pa.field(name, pa.from_numpy_dtype(values.dtype), metadata={"unit": unit})
+            for (name, unit), values in columns.items()
+        ]
         with atomic_write(file) as draft:
             return pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields)), draft)
 
@@ -195,11 +197,12 @@ def simulate(
 ) -> Log:
     """Run a loop for `duration` seconds and return its signals.
 
-    state: where to start (default: `loop.init()`); `log.state` of an earlier run goes on with it. batch: number of cars
-    to run at once. record: signals to keep (default: all). every: keep one tick in `every`. until: called with each
-    kept sample; the run ends after the first that it answers True. progress: show a bar on the terminal. Raises
-    ValueError for a bad argument; NonFiniteError, with the log so far, when a recorded signal became NaN or infinite,
-    unless `allow_nonfinite`. An exception inside a block is raised with a note saying which tick it was.
+    state: where to start (default: `loop.init()`); `log.state` of an earlier run goes on with it. batch: number of
+    cars to run at once. record: signals to keep (default: all). every: keep one tick in `every`. until: called with
+    each kept sample; the run ends after the first that it answers True. progress: show a bar on the terminal.
+
+    Raises ValueError for a bad argument; NonFiniteError, with the log so far, when a recorded signal became NaN or
+    infinite, unless `allow_nonfinite`. An exception inside a block is raised with a note saying which tick it was.
     """
     finite = np.isfinite(duration) and duration > 0.0
     require(finite, "simulate", f"duration = {duration} s, expected a finite number > 0")

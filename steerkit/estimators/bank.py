@@ -14,8 +14,10 @@ from steerkit.diagram.units import radians_of
 from steerkit.estimators.steering_response import SLOWEST, at, steady_gain
 from steerkit.vehicles import Vehicle, require_vehicle
 
-_EXPLAINED = 0.5  # Share of the response's variance that has to be explained
-_FEWEST = 10.0  # Independent samples from which on the residual shows the noise
+_EXPLAINED = 0.5
+"""Share of the response's variance that has to be explained."""
+_FEWEST = 10.0
+"""Independent samples from which on the residual shows the noise."""
 REGRESSORS = 3
 MOMENTS = 2 * REGRESSORS + REGRESSORS * (REGRESSORS + 1) // 2
 """What is kept of a candidate: means, covariances, covariances with the response."""

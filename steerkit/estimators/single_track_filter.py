@@ -8,22 +8,29 @@ from typing import Any
 from steerkit._support.errors import number, require, require_within, whole_samples
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.estimators import kalman
 from steerkit.estimators.estimate import estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, arrived, steady_gain, yaw_step
 from steerkit.vehicles import G, Vehicle, require_vehicle
 
-_STANDS, _STANDING = 0.1, 1.0  # A car stands below this speed [m/s], after that long [s]
-_TOGETHER = 1.0  # For how long errors of the angle hang together [s]
-_OUTLIER = 3.0  # Standard deviations beyond which a sample counts for less
-_GAP = radians_of(1.0)  # Half of the free play whose loop is a number of the filter [rad]
+_STANDS, _STANDING = 0.1, 1.0
+"""A car stands below this speed [m/s], after that long [s]."""
+_TOGETHER = 1.0
+"""For how long errors of the angle hang together [s]."""
+_OUTLIER = 3.0
+"""Standard deviations beyond which a sample counts for less."""
+_GAP = radians_of(1.0)
+"""Half of the free play whose loop is a number of the filter [rad]."""
 _SOFT, _SATURATES = 2e-4, 7.5e-4
 """Deviations of the understeer gradient for tyres that give way in tight bends, and much sooner [rad s^2/m]."""
-_CORRELATED = 0.15  # For how long the errors of r hang together [s]
+_CORRELATED = 0.15
+"""For how long the errors of r hang together [s]."""
 _ANGLE_ERROR = radians_of(0.3)
 """Standard deviation of what free play and friction make of the angle beyond the loop of the filter's own [rad]."""
-_WINDOW = 40.0  # Longest time over which headings are compared [s]
+_WINDOW = 40.0
+"""Longest time over which headings are compared [s]."""
 _N = 6
 _OFFSET, _DISTURBANCE = 2, 4
 _WINDOWS, _FILTERS = 13, 16
@@ -59,16 +66,18 @@ class SingleTrackFilter(Block):
 
     Inputs: delta_sw [rad], the command, or the measured wheel, whose offset is then found; v [m/s]; r [rad/s]; psi
     [rad], NaN where there is none; delay, lag [s] from that angle to the measured r, without the car's own, and
-    delay_deviation [s] of their sum; active [1]: does the angle steer? Outputs, of state only: ratio, ratio_deviation
-    [1], understeer, understeer_deviation [rad s^2/m], offset, offset_deviation, disturbance, disturbance_deviation,
-    total_offset, total_offset_deviation [rad], rate_zero, rate_zero_deviation [rad/s]; ratio_valid, understeer_valid,
-    offset_valid, disturbance_valid, total_offset_valid, rate_zero_valid [1]: the deviation is at most 3 %, a quarter of
-    the prior's, 0.25 degrees, half of its own, 0.35 degrees, 0.001 rad/s, before it is widened by what driving cannot
-    show (`gyro_scale`, `bank`, tyres that saturate); missing [1], 1 if a number of the last sample but psi was. A
-    sample is used where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
-    State: filters, a delay line, the six numbers, P's upper triangle. Source: Gelb 1974, section 6.1 (extended Kalman
-    filter); Rajamani 2012, section 3.3; Kulhavy, Zarrop 1993 (forgetting towards a prior). openpilot's paramsd
-    (comma.ai) and Autoware's steering offset estimator do this too.
+    delay_deviation [s] of their sum; active [1]: does the angle steer?
+    Outputs, of state only: ratio, ratio_deviation [1], understeer, understeer_deviation [rad s^2/m], offset,
+    offset_deviation, disturbance, disturbance_deviation, total_offset, total_offset_deviation [rad], rate_zero,
+    rate_zero_deviation [rad/s]; ratio_valid, understeer_valid, offset_valid, disturbance_valid, total_offset_valid,
+    rate_zero_valid [1]: the deviation is at most 3 %, a quarter of the prior's, 0.25 degrees, half of its own, 0.35
+    degrees, 0.001 rad/s, before it is widened by what driving cannot show (`gyro_scale`, `bank`, tyres that saturate);
+    missing [1], 1 if a number of the last sample but psi was.
+    A sample is used where these are finite, v is 3 m/s or more, and the angle has steered for delay + 4 lag + 0.3 s.
+    State: filters, a delay line, the six numbers, P's upper triangle.
+
+    Source: Gelb 1974, section 6.1 (extended Kalman filter); Rajamani 2012, section 3.3; Kulhavy, Zarrop 1993
+    (forgetting towards a prior). openpilot's paramsd (comma.ai) and Autoware's steering offset estimator do this too.
     """
 
     delta_sw = In("rad", direct=False)
@@ -164,7 +173,7 @@ class SingleTrackFilter(Block):
             (disturbance, deviations[4], 0.5 * math.sqrt(variances[4]), 0.0),
             (offset + disturbance, m.sqrt(m.maximum(kalman.covariance(p, total, total), 0.0)), radians_of(0.35), 0.0),
         )
-        flat: list[m.Scalar] = []
+        flat: list[Scalar] = []
         for value, deviation, most, untold in found:
             flat += [value, m.sqrt(deviation * deviation + untold * untold), m.where(deviation <= most, 1.0, 0.0)]
         return self.Y(*flat, x[2])
@@ -200,7 +209,7 @@ class SingleTrackFilter(Block):
         r = m.where(off > 4.0, expected, r)
         stands = m.where(m.both(moves, u.v < _STANDS), stands + dt, 0.0)
         stopped = m.both(turns, stands > _STANDING)
-        only_zero: Sequence[m.Scalar] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+        only_zero: Sequence[Scalar] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
         numbers, covariance, _ = _corrected(numbers, covariance, only_zero, r - numbers[3], variance, stopped)
         # the heading against the gyro
         whole = m.both(turns, m.is_finite(u.psi))
@@ -229,9 +238,7 @@ class SingleTrackFilter(Block):
         filters = (command, v, missing, since, w, beta, rate, stands, turned, clock, start, going, arrives)
         return (*filters, window, turning, behind, *line, *numbers, *kalman.packed(covariance))
 
-    def _expected(
-        self, numbers: State, w: m.Scalar, behind: m.Scalar, v: m.Scalar
-    ) -> tuple[m.Scalar, tuple[m.Scalar, ...]]:
+    def _expected(self, numbers: State, w: Scalar, behind: Scalar, v: Scalar) -> tuple[Scalar, tuple[Scalar, ...]]:
         """What the gyro should say [rad/s], and its derivatives with respect to the six numbers.
 
         behind: w behind the free play.
@@ -248,13 +255,8 @@ class SingleTrackFilter(Block):
 
 
 def _corrected(
-    numbers: State,
-    p: kalman.Covariance,
-    slopes: Sequence[m.Scalar],
-    error: m.Scalar,
-    variance: m.Scalar,
-    applies: m.Scalar,
-) -> tuple[State, kalman.Covariance, m.Scalar]:
+    numbers: State, p: kalman.Covariance, slopes: Sequence[Scalar], error: Scalar, variance: Scalar, applies: Scalar
+) -> tuple[State, kalman.Covariance, Scalar]:
     """Numbers and covariance after one measurement, where it `applies`; Huber's weight for one that is far off.
 
     And its squared error over that of 3 deviations.

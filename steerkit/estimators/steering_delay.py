@@ -15,13 +15,16 @@ from steerkit.estimators.estimate import estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, at, steady_gain, yaw_delay, yaw_step
 from steerkit.task import STOP
 
-_GAP = radians_of(1.0)  # Half of the free play whose loop is a regressor [rad]
+_GAP = radians_of(1.0)
+"""Half of the free play whose loop is a regressor [rad]."""
 _GAIN, _SHARE = 1.0 / 0.3**2, 1.0 / 0.5**2
 """Precisions of the gain, 1 +- 0.3, and of the share of that free play which the car has."""
-_NO_SINGLE_LAG = 0.01  # Deviation of delay and of lag for what is no single lag, with their sum the same [s]
+_NO_SINGLE_LAG = 0.01
+"""Deviation of delay and of lag for what is no single lag, with their sum the same [s]."""
 _CUBIC = 0.06
 """Deviation of the sum over how far the lag is from the prior's: the regression knows two moments of the answer."""
-_TIMING = 0.0015  # Deviation of all delays for what happens between samples [s]
+_TIMING = 0.0015
+"""Deviation of all delays for what happens between samples [s]."""
 _LEAST_GAIN = 0.3
 
 
@@ -73,11 +76,12 @@ class DelayBank(Bank):
 
     Outputs, of state only: delay, delay_deviation, lag, lag_deviation, and of their sum delay_lag, delay_lag_deviation
     [s]; delay_valid, lag_valid, delay_lag_valid [1]; missing [1]: 1 where the last sample held a NaN. The sum is known
-    far better than its parts, which only fast steering separates. Valid: the deviation is at most `enough` (twice that
-    for the parts), the commands explain half of the response's variance, and the sum is not at an end of what the
-    candidates reach, earliest + 0.59 L0 and longest + 2 L0. State: filters, delay lines, moments. Source: Ljung 1999,
-    sections 7.3 and 11.2 (regression, forgetting); Golub, Pereyra 1973 (linear parameters solved for). openpilot's lag
-    estimation (comma.ai 2025) has the same task and correlates two accelerations.
+    far better than its parts, which only fast steering separates. Valid: the deviation is at most `enough` (twice
+    that for the parts), the commands explain half of the response's variance, and the sum is not at an end of what the
+    candidates reach, earliest + 0.59 L0 and longest + 2 L0. State: filters, delay lines, moments.
+
+    Source: Ljung 1999, sections 7.3 and 11.2 (regression, forgetting); Golub, Pereyra 1973 (linear parameters solved
+    for). openpilot's lag estimation (comma.ai 2025) has the same task and correlates two accelerations.
     """
 
     delta_sw_cmd = In("rad", direct=False)

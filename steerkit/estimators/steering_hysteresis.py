@@ -14,8 +14,10 @@ from steerkit.estimators.bank import MOMENTS, Bank, Fit, OfWheel, OfYawRate, Sum
 from steerkit.estimators.estimate import NORMAL_95, estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, arrived, at, steady_gain, yaw_step
 
-_GAIN = 1.0 / 0.3**2  # Precision of the response's gain, 1 +- 0.3
-_LATE = 1.0 / 0.1**2  # Precision of the delay that is still wrong, 0 +- 0.1 s [1/s^2]
+_GAIN = 1.0 / 0.3**2
+"""Precision of the response's gain, 1 +- 0.3."""
+_LATE = 1.0 / 0.1**2
+"""Precision of the delay that is still wrong, 0 +- 0.1 s [1/s^2]."""
 WIDEST = radians_of(1.6)
 """Largest half width that is tried [rad]."""
 _CANDIDATES = 9
@@ -24,14 +26,16 @@ _SETTLED = 3.0
 """How long the commands have to have acted before a sample is used [s]: operators reach an end of their gaps."""
 _SHARE, _SMALL = 0.1, radians_of(0.25)
 """Valid: the interval reaches at most this share of the half width to either side, or ends below this [rad]."""
-_TRIED = 15.0  # Driving that was used, after which a lag is judged by what it leaves over [s]
+_TRIED = 15.0
+"""Driving that was used, after which a lag is judged by what it leaves over [s]."""
 _OFF, _LONGER, _LEFT = 0.003, 0.05, 0.3
 """A lag is another one where it is off by so much at least [s]; the largest step [s]; what of it may still be wrong."""
 PER_LAG = radians_of(9.0)
 """By how much the half width is off, for each second of a lag that is taken for delay [rad/s]."""
 _LATE_LEFT = radians_of(1.5)
 """By how much a half width is off, for each second by which a delay is given wrong [rad/s]: b p_0' is not all of it."""
-_CLOSE = 0.0015  # Deviation of a lag that was judged to be right [s]
+_CLOSE = 0.0015
+"""Deviation of a lag that was judged to be right [s]."""
 
 
 class Known(NamedTuple):

@@ -11,15 +11,22 @@ CLEAR = 6.0
 """Evidence from which on a sign is certain [1]."""
 DOUBTED = 1.0
 """The same where something else says that steering or sensors are wrong [1]."""
-_MEMORY = 1.5  # A sample of so long ago counts for 1/e [s]
-_NOISE = 0.006  # Standard deviation of what is no answer in a yaw rate [rad/s]
+_MEMORY = 1.5
+"""A sample of so long ago counts for 1/e [s]."""
+_NOISE = 0.006
+"""Standard deviation of what is no answer in a yaw rate [rad/s]."""
 _MISFIT = 0.05
 """This share of the answer's variance no model explains: dead times between samples, tyres, a motor's lag [1]."""
-_GAINS = 0.4, 2.5  # An answer may be so much smaller or larger than expected [1]
-_SIGNS = np.array([[1.0], [-1.0]])  # Of the two regressions
-_MOST = 4.0  # Lateral acceleration beyond which tyres and motors no longer answer in proportion [m/s^2]
-_SLOWEST = 0.5  # Speed below which nothing is learned [m/s]
-_LONGEST = 2.0, 0.6, 0.3  # Dead times of wheel, yaw rate and heading [s]
+_GAINS = 0.4, 2.5
+"""An answer may be so much smaller or larger than expected [1]."""
+_SIGNS = np.array([[1.0], [-1.0]])
+"""Of the two regressions."""
+_MOST = 4.0
+"""Lateral acceleration beyond which tyres and motors no longer answer in proportion [m/s^2]."""
+_SLOWEST = 0.5
+"""Speed below which nothing is learned [m/s]."""
+_LONGEST = 2.0, 0.6, 0.3
+"""Dead times of wheel, yaw rate and heading [s]."""
 
 
 class SignTest:

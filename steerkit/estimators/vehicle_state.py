@@ -20,22 +20,30 @@ X, Y, PSI, SWAY, R, V, A, D_X, D_Y, D_PSI, HEADING, GYRO, WHEEL = range(13)
 """The estimated numbers, in the order of the state: the motion with the acceleration, then errors of sensors."""
 NEVER = 1e9
 """s: `unseen` of a car of which no position has come yet."""
-_LEAST = 1e-10  # Least variance of a measurement, in SI units: 0.01 mm or mm/s, 0.01 mrad or mrad/s
-_ABSURD = 1e7  # Metres, radians and the like by which a measurement is no measurement
-_X_SUM, _Y_SUM = (X, D_X), (Y, D_Y)  # What a measured position is the sum of
+_LEAST = 1e-10
+"""Least variance of a measurement, in SI units: 0.01 mm or mm/s, 0.01 mrad or mrad/s."""
+_ABSURD = 1e7
+"""Metres, radians and the like by which a measurement is no measurement."""
+_X_SUM, _Y_SUM = (X, D_X), (Y, D_Y)
+"""What a measured position is the sum of."""
 _N = 13
 _ENTRIES = _N * (_N + 1) // 2
-_UNKNOWN = (10.0, 10.0, 0.5, 0.5, 0.5, 5.0)  # Standard deviations of x, y, psi, sway, r, v before anything was measured
+_UNKNOWN = (10.0, 10.0, 0.5, 0.5, 0.5, 5.0)
+"""Standard deviations of x, y, psi, sway, r, v before anything was measured."""
 _ACCELERATION, _ACCELERATION_TIME = 1.0, 1.0
 """Standard deviation of the car's acceleration [m/s^2], and its correlation time [s]."""
-_ZERO_TIME = 1000.0  # Correlation time of the zeros of gyro and wheel [s]
+_ZERO_TIME = 1000.0
+"""Correlation time of the zeros of gyro and wheel [s]."""
 DOUBT_FROM = 7.0
 """Mean innovation, squared, over its variance, from which on the model is doubted [1]."""
-_DOUBT_TIME = 0.5  # Over which time that mean is taken [s]
+_DOUBT_TIME = 0.5
+"""Over which time that mean is taken [s]."""
 _DOUBT_WHEEL, _DOUBT_BETA = radians_of(0.6), radians_of(0.3)
 """Doubt's noise of the steering wheel's zero and of the sideslip, a sample [rad]."""
-_OUTAGE = 0.3  # From which time without a position on it is an outage [s]
-_UNHEARD = 2.0  # How fast it may turn while its angle is not heard [rad/s]
+_OUTAGE = 0.3
+"""From which time without a position on it is an outage [s]."""
+_UNHEARD = 2.0
+"""How fast it may turn while its angle is not heard [rad/s]."""
 
 
 class Measured(NamedTuple):
@@ -50,7 +58,8 @@ class Measured(NamedTuple):
     r: Scalar
 
 
-_ANY_ANGLE = 1e3  # Larger angles of the steering wheel [rad] are none
+ANY_ANGLE = 1e3
+"""Larger angles of the steering wheel [rad] are none."""
 SIZE = len(Measured._fields)
 
 
@@ -81,7 +90,7 @@ def turned_on(before: Scalar, held: Scalar, zero: Scalar, heard: Scalar) -> tupl
     While it is not, its angle is held, and what it turns goes into the zero. Once it is heard again, angle and zero add
     up to what they did, so that the zero is what it was.
     """
-    there = m.absolute(heard) < _ANY_ANGLE
+    there = m.absolute(heard) < ANY_ANGLE
     after = m.where(there, heard, before)
     back = m.both(there, held > 0.5)
     missing = m.where(there, 0.0, 1.0)
@@ -99,8 +108,10 @@ def sway_is_speed(rhs: Rhs) -> bool:
 
 
 _GAMMA = 1.0 - math.sqrt(0.5)
-_DOUBLED = 2  # How often a step of h/4 is doubled
-_APART = 1e-4  # By how much a state is moved to see what the rates owe to it [m/s, rad, rad/s]
+_DOUBLED = 2
+"""How often a step of h/4 is doubled."""
+_APART = 1e-4
+"""By how much a state is moved to see what the rates owe to it [m/s, rad, rad/s]."""
 
 
 def reach_of(rhs: Rhs, x: Sequence[Scalar], delta: Scalar, v: Scalar, h: float) -> tuple[Scalar, ...]:
@@ -244,7 +255,8 @@ FOLLOWED = {
 }
 """Least and most of what is used of a car's numbers, and how fast they change [a second]: ratio over the data sheet's
 [1], understeer gradient [rad s^2/m], offset [rad], the gyro's zero [rad/s]."""
-_AGE_UNKNOWN = 0.01  # Standard deviation of the time between what is measured of the wheel and of the motion [s]
+_AGE_UNKNOWN = 0.01
+"""Standard deviation of the time between what is measured of the wheel and of the motion [s]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -404,10 +416,14 @@ class VehicleState(Block):
     @cached_property
     def _processes(self) -> tuple[tuple[float, Scalar], ...]:
         """f and deviation of a and of the six errors of sensors."""
-        drifts = ((self.drift_time, self.psi_drift), (self.heading_time, self.heading_drift))
-        zeros = ((_ZERO_TIME, self.gyro_drift), (_ZERO_TIME, self.wheel_drift))
-        position = [(self.drift_time, self.position_drift)] * 2
-        processes = ((_ACCELERATION_TIME, _ACCELERATION), *position, *drifts, *zeros)
+        processes = (
+            (_ACCELERATION_TIME, _ACCELERATION),
+            *[(self.drift_time, self.position_drift)] * 2,
+            (self.drift_time, self.psi_drift),
+            (self.heading_time, self.heading_drift),
+            (_ZERO_TIME, self.gyro_drift),
+            (_ZERO_TIME, self.wheel_drift),
+        )
         return tuple([(math.exp(-self.dt / time), deviation) for time, deviation in processes])
 
     @cached_property
@@ -442,7 +458,7 @@ class VehicleState(Block):
         memory = memory._replace(
             unseen=m.where(m.is_finite(u.x_in + u.y_in), 0.0 * v, memory.unseen),
             wheel=wheel,
-            held=m.where(m.absolute(u.delta_sw_meas) < _ANY_ANGLE, 0.0, 1.0),
+            held=m.where(m.absolute(u.delta_sw_meas) < ANY_ANGLE, 0.0, 1.0),
         )
         own = (*start, *mean[len(start) :], *entries, *(wheel,) * len(wheels), *buffer, *memory)
         if self.steering is None:
@@ -514,7 +530,7 @@ class VehicleState(Block):
         drifted = [f * value for f, value in zip(kept, (*mean[A:WHEEL], zero))]
         mean = (*after, mean[V] + self.dt * mean[A], *drifted)
         corrected_mean, p, memory = self._corrected(mean, p, due, memory, delta)
-        whole = m.both(m.absolute(u.delta_sw_meas) < _ANY_ANGLE, m.is_finite(due.x + due.y + due.psi + due.v + due.r))
+        whole = m.both(m.absolute(u.delta_sw_meas) < ANY_ANGLE, m.is_finite(due.x + due.y + due.psi + due.v + due.r))
         memory = memory._replace(wheel=wheel, held=held, missing=m.where(whole, 0.0, 1.0))
         slots = [value for one in waiting for value in one]
         own = (*corrected_mean, *kalman.packed(p), *wheels[1:], *slots, *memory)
@@ -631,8 +647,11 @@ class VehicleState(Block):
         mean, p = kalman.corrected(mean, p, _X_SUM, missed_x, noise, used)
         mean, p = kalman.corrected(mean, p, _Y_SUM, y - mean[Y] - mean[D_Y], noise, used)
         unseen = m.where(used, 0.0, memory.unseen + self.dt)
-        kept = (unseen, wait, *waits, *means, memory.wheel, memory.held, rejected, 0.0, nis, count)
-        return mean, p, Memory._make(kept)
+        return (
+            mean,
+            p,
+            Memory._make((unseen, wait, *waits, *means, memory.wheel, memory.held, rejected, 0.0, nis, count)),
+        )
 
     def _judged(self, square: Scalar, here: Scalar, wait: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         """Is a measurement used; is it, as it has been off for long; and for how long it is now."""

@@ -92,8 +92,9 @@ def _fed(block: Block) -> Loop:
     speeds = [unit == "m/s" for unit in units.values()]
     rows[:, speeds] = np.abs(rows[:, speeds])
     made_up = _external(units, block.dt, rows.tolist())
-    wires = [(getattr(made_up, name), getattr(block, name)) for name in units]
-    return Loop(blocks={"made_up": made_up, "block": block}, wires=wires)
+    return Loop(
+        blocks={"made_up": made_up, "block": block}, wires=[(getattr(made_up, n), getattr(block, n)) for n in units]
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,8 +114,9 @@ class _Part:
         for name in names:
             known(name, loop.names, "block of the loop")
         chosen = {n: loop.blocks[n] for n in loop.names if n in names}
-        own = [*chosen.values()]
-        sources = {loop.port_name(a): a for a, b in loop.wires if b.block in own and a.block not in own}
+        sources = {
+            loop.port_name(a): a for a, b in loop.wires if b.block in chosen.values() and a.block not in chosen.values()
+        }
         for signal, port in sources.items():
             if port.size is not None:
                 raise TraceError(f"export_c: {signal} is a vector; export {signal.split('.')[0]} along with the others")
@@ -169,16 +171,24 @@ class _Part:
     def header(self, name: str) -> str:
         """The text of <name>.h."""
         guard = f"{name.upper()}_H"
-        made = f"/* {name}: made by steerkit's export_c; SI units and radians. */"
-        lines = [made, f"#ifndef {guard}", f"#define {guard}", ""]
+        lines = [
+            f"/* {name}: made by steerkit's export_c; SI units and radians. */",
+            f"#ifndef {guard}",
+            f"#define {guard}",
+            "",
+        ]
         lines.append(f"#define {name.upper()}_DT {c_number(self.trace.loop.dt)} /* [s] */")
         for block_name, block in self.trace.loop.blocks.items():
             if block_name != "inputs":
                 for field, value in _numbers(block):
                     macro = "_".join([name, *([block_name] if block_name != "block" else []), field]).upper()
                     lines.append(f"#define {macro} {c_number(value)}" if field != "dt" else "")
-        phase = f"  unsigned phase; /* sample number modulo {len(self.trace.ticks)} */"
-        lines += ["", "typedef struct {", phase, "  double k; /* sample number */"]
+        lines += [
+            "",
+            "typedef struct {",
+            f"  unsigned phase; /* sample number modulo {len(self.trace.ticks)} */",
+            "  double k; /* sample number */",
+        ]
         lines += [f"  double {field};" for field in self.state.values()]
         lines += [f"}} {name}_state;", "", "typedef struct {"]
         lines += [f"  double {field}; /* [{unit}] */" for field, unit in self.inputs.items()] or ["  double none;"]

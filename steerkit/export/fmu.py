@@ -33,9 +33,10 @@ def export_fmu(
 
     parameters: block fields such as `controller.k` that become tunable parameters, under their names. The master may
     step as it likes: the loop takes its own samples, each loop.dt, and outputs hold their values between them. It can
-    be saved and restored (FMU state), and gives the numbers of `simulate`. Raises TraceError for a loop that cannot be
-    compiled, KeyError for an unknown signal, ValueError for a vector signal or a file name that is no identifier with
-    the ending .fmu.
+    be saved and restored (FMU state), and gives the numbers of `simulate`.
+
+    Raises TraceError for a loop that cannot be compiled, KeyError for an unknown signal, ValueError for a vector signal
+    or a file name that is no identifier with the ending .fmu.
     """
     target = Path(file)
     fits = target.suffix == ".fmu" and re.fullmatch(r"[A-Za-z]\w*", target.stem)

@@ -26,8 +26,9 @@ def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, descript
     Observations, actions and rewards are those of the environment of `task`, which the data set can recover when the
     task's options are plain data (names, numbers, dictionaries). An episode is a stretch of consecutive samples: it
     terminates where the task's cost says so, else it is truncated (a hand-over, or the end of the record). float32 as
-    in the environment: the store and Parquet keep every bit, this does not. Raises ValueError for other columns or
-    actions than the task's, or a data set that exists already.
+    in the environment: the store and Parquet keep every bit, this does not.
+
+    Raises ValueError for other columns or actions than the task's, or a data set that exists already.
     """
     where, names = "to_minari", transitions.names
     transitions = transitions.part(transitions.own)

@@ -20,12 +20,13 @@ OPSET = 17
 def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *, single: bool = False) -> None:
     """Write a policy as an ONNX model: scaling, nets, their mean and the choice of the action inside.
 
-    Input `state` (N, columns): SI, columns as in the block's description, unscaled. Outputs: `action` (N,) [rad], for a
-    dynamic output element, which stays outside; of an `NfqPolicy` also `q` (N,) [1], its expected cost. A state with a
-    NaN or an infinity gives NaN. Numbers are float64; single: float32, with which a choice between two actions of
-    nearly equal cost may come out differently. Names, units and ranges stand in the model's metadata. Raises ValueError
-    for a policy without nets, or one that is more than its nets (a forecast, actions between those of its set), or
-    without onnx; TypeError for a block that holds no net.
+    Input `state` (N, columns): SI, columns as in the block's description, unscaled. Outputs: `action` (N,) [rad], for
+    a dynamic output element, which stays outside; of an `NfqPolicy` also `q` (N,) [1], its expected cost. A state with
+    a NaN or an infinity gives NaN. Numbers are float64; single: float32, with which a choice between two actions of
+    nearly equal cost may come out differently. Names, units and ranges stand in the model's metadata.
+
+    Raises ValueError for a policy without nets, or one that is more than its nets (a forecast, actions between those of
+    its set), or without onnx; TypeError for a block that holds no net.
     """
     if isinstance(block, NfqPolicy):
         require(bool(block.nets), "export_onnx", "the policy has no nets: nothing was learned yet")
@@ -81,8 +82,9 @@ def _nfq(graph: "_Graph", policy: NfqPolicy) -> tuple[str, str]:
     order, d = sorted(policy.actions, key=abs), policy.description  # of equal values the gentlest action's comes first
     state, excess = "state", None
     if d.scaled_from < math.inf:  # see StateDescription.scaled
-        places = [graph.whole(COLUMNS.index(name)) for name in ("v", "e_dot", "psi_e")]
-        v, e_dot, psi_e = (graph.op("Gather", state, place, axis=1) for place in places)
+        v, e_dot, psi_e = (
+            graph.op("Gather", state, graph.whole(COLUMNS.index(name)), axis=1) for name in ("v", "e_dot", "psi_e")
+        )
         excess = graph.op("Max", graph.op("Div", v, graph.number(d.scaled_from)), graph.number(1.0))
         turning = graph.op("Sub", graph.op("Div", e_dot, graph.op("Max", v, graph.number(d.scaled_from))), psi_e)
         more = graph.op("Mul", turning, graph.op("Sub", graph.op("Mul", excess, excess), excess))

@@ -99,8 +99,9 @@ class Episodes:
         )
         seen = self._arrays["observation"]
         fits = seen.shape == (cars, columns) and seen.dtype == np.float32 and seen.flags.c_contiguous
-        what = f"observation {seen.dtype} {seen.shape}, expected float32 {(cars, columns)}, contiguous"
-        require(fits, "Episodes", what)
+        require(
+            fits, "Episodes", f"observation {seen.dtype} {seen.shape}, expected float32 {(cars, columns)}, contiguous"
+        )
         self._generators: list[np.random.Generator] = []
         for name in ("observation", "reward", "terminated", "truncated", "over"):
             setattr(self, name, self._arrays[name][:cars])

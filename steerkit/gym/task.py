@@ -23,6 +23,7 @@ from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, Out, State
 from steerkit.diagram.loop import Loop, LoopState
+from steerkit.diagram.maths import Array, Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.doe import HeldAngle, Integrator, OutputElement
 from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
@@ -62,18 +63,25 @@ class Starts:
     @cached_property
     def last(self) -> float:
         """The largest s at which an episode starts [m]."""
-        length = self.task.path.length
-        return length if self.task.path.closed else max(0.0, length - END_MARGIN - LEAST_ROOM)
+        return (
+            self.task.path.length
+            if self.task.path.closed
+            else max(0.0, self.task.path.length - END_MARGIN - LEAST_ROOM)
+        )
 
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Draw:
         """The start of an episode; `options` s [m], e [m], psi_e [rad] stand for what is drawn otherwise."""
         given = dict(options or {})
-        length, limit = self.task.path.length, self.task.limit
-        valid = {"s": ("m", 0.0, length), "e": ("m", -limit, limit), "psi_e": ("rad", -1.6, 1.6)}
-        where = "TrackSteering.reset"
+        valid = {
+            "s": ("m", 0.0, self.task.path.length),
+            "e": ("m", -self.task.limit, self.task.limit),
+            "psi_e": ("rad", -1.6, 1.6),
+        }
         for name, value in given.items():
-            require_within(where, name, value, *valid[known(name, valid, f"{where}: option")])
-            require(np.ndim(value) == 0, where, f"{name} = {value!r}, expected one number")
+            require_within(
+                "TrackSteering.reset", name, value, *valid[known(name, valid, "TrackSteering.reset: option")]
+            )
+            require(np.ndim(value) == 0, "TrackSteering.reset", f"{name} = {value!r}, expected one number")
         task, seed, s = self.task, int(rng.integers(2**31)), rng.random() * self.last
         e, psi_e = rng.uniform(-task.start_e, task.start_e), task.start_psi_e * rng.uniform(-1.0, 1.0)
         chosen = {"s": 0.0 if task.start == "beginning" else s, "e": e, "psi_e": psi_e} | given
@@ -84,7 +92,7 @@ class Starts:
         s, e, psi_e = np.array([draw[1:] for draw in draws]).T
         return self.state(s, e, psi_e, [self._drawn(block, draws) for block in self.task.loop.blocks.values()])
 
-    def state(self, s: m.Scalar, e: m.Scalar, psi_e: m.Scalar, drawn: Sequence[State]) -> LoopState:
+    def state(self, s: Scalar, e: Scalar, psi_e: Scalar, drawn: Sequence[State]) -> LoopState:
         """The loop's state, settled, of cars e [m] left of the path at s [m], turned by psi_e [rad]: arrays or symbols.
 
         drawn: the state of each block at its start, with the random numbers of its seed.
@@ -129,7 +137,7 @@ class Starts:
         car = self.task.loop.blocks["car"]
         return car.block if isinstance(car, DisturbedPlant) else car
 
-    def _car_at(self, x: m.Scalar, y: m.Scalar, psi: m.Scalar, batch: tuple[int, ...]) -> Any:
+    def _car_at(self, x: Scalar, y: Scalar, psi: Scalar, batch: tuple[int, ...]) -> Any:
         """The car's state with its reference point at x, y [m] and this heading [rad]."""
         x, y = x - self.task.place.ahead * m.cos(psi), y - self.task.place.ahead * m.sin(psi)
         car = self._car
@@ -202,10 +210,11 @@ class Task:
 
     observation: (s - mid)/half of the learner's state s (`description`), as the sensors see it, float32, cut at +-10.
     action: a number of `actions`, or a in [-1, 1], which means a*largest [rad]; what an action does is up to `doe`.
-    reward: -cost(s, a, s_next), and -failure in the step in which |e| > limit, which terminates the episode. truncated:
-    after `duration`, or 5 m before the end of an open course. start: e and psi_e are drawn, the place too; a
-    single-track car starts in the steady state of its bend. Raises ValueError for options that do not fit, naming the
-    valid ones.
+    reward: -cost(s, a, s_next), and -failure in the step in which |e| > limit, which terminates the episode.
+    truncated: after `duration`, or 5 m before the end of an open course.
+    start: e and psi_e are drawn, the place too; a single-track car starts in the steady state of its bend.
+
+    Raises ValueError for options that do not fit, naming the valid ones.
     """
 
     course: str = "paper"
@@ -276,8 +285,9 @@ class Task:
         plain = (self.course, self.vehicle, self.conditions) == ("paper", "vw-passat", "clean")
         words = "course, vehicle and conditions belong to the scenario; give them inside `scenario`, or no scenario"
         require(self.scenario is None or plain, where, words)
-        expected = "expected a Scenario, a dictionary of its fields, or its TOML file"
-        known_place = f"scenario {self.scenario!r:.60}, {expected}"
+        known_place = (
+            f"scenario {self.scenario!r:.60}, expected a Scenario, a dictionary of its fields, or its TOML file"
+        )
         require(isinstance(self.place, Scenario), where, known_place)
         require(isinstance(self.safe, bool | Mapping), where, f"safe {self.safe!r}; valid: False, True, or its fields")
         for name in self.safe if isinstance(self.safe, Mapping) else ():
@@ -285,7 +295,7 @@ class Task:
         for n in (1, 3):
             self._try_cost(np.tile(self.description.mid, (n, 1)))
 
-    def _try_cost(self, s: m.Array) -> None:
+    def _try_cost(self, s: Array) -> None:
         """Raise ValueError unless the cost answers as it has to, for cars in these states (n, columns)."""
         price, n = self.price, len(s)
         where = f"TrackSteering: cost {getattr(price, '__name__', type(price).__name__)}"
@@ -414,11 +424,11 @@ class Task:
         """Box(-10, 10, (columns,)); most of what happens lies in [-1, 1]."""
         return spaces.Box(-BOUND, BOUND, (len(self.columns),), np.float32)
 
-    def angle(self, actions: Any, shape: tuple[int, ...]) -> m.Array:
+    def angle(self, actions: Any, shape: tuple[int, ...]) -> Array:
         """The actions [rad] (N,) that an agent's actions mean; raises ValueError for one outside of the space."""
         return angles_of(actions, math.prod(shape), self.angles, self.scale, "TrackSteering.step: action")
 
-    def observation(self, s: m.Array) -> NDArray[np.float32]:
+    def observation(self, s: Array) -> NDArray[np.float32]:
         """What the agent sees of states (N, columns)."""
         d = self.description
         return np.minimum(np.maximum((s - d.mid) / d.half, -BOUND), BOUND).astype(np.float32)
@@ -429,7 +439,7 @@ class Task:
         return Starts(self)
 
 
-def require_finite(signals: Sequence[str], values: m.Array, steps: m.Array) -> None:
+def require_finite(signals: Sequence[str], values: Array, steps: Array) -> None:
     """Raise FloatingPointError naming the first of the values (signals and the cost, N) that is no finite number."""
     for row, car in np.argwhere(~np.isfinite(values)):
         what = f"{[*signals, 'the cost'][row]} of car {car} is {values[row, car]} after {steps[car]} steps"

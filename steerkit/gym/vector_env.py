@@ -103,8 +103,9 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive one sample; raises ResetNeeded after the end of an episode."""
         if self._cars.over[0]:
-            over = "the episode is over, or none has begun; call reset()"
-            raise gymnasium.error.ResetNeeded(f"TrackSteering.step: {over}")
+            raise gymnasium.error.ResetNeeded(
+                "TrackSteering.step: the episode is over, or none has begun; call reset()"
+            )
         cars = self._cars
         cars.step(self.task.angle(action, ()))
         judged = float(cars.reward[0]), bool(cars.terminated[0]), bool(cars.truncated[0])
@@ -186,9 +187,12 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
             mask = np.ones(self.num_envs, dtype=bool)
         fits = isinstance(mask, np.ndarray) and mask.dtype == bool and mask.shape == (self.num_envs,) and mask.any()
         require(fits, "reset", f"reset_mask {mask!r}, expected a boolean array ({self.num_envs},), not all False")
-        n = self.num_envs
-        seeds = list(seed) if isinstance(seed, Sequence) else [None if seed is None else seed + i for i in range(n)]
-        require(len(seeds) == n, "reset", f"{len(seeds)} seeds, expected {n}, one a car")
+        seeds = (
+            list(seed)
+            if isinstance(seed, Sequence)
+            else [None if seed is None else seed + i for i in range(self.num_envs)]
+        )
+        require(len(seeds) == self.num_envs, "reset", f"{len(seeds)} seeds, expected {self.num_envs}, one a car")
         generators, known_seeds, cars = [*self._np_random], [*self._np_random_seed], np.flatnonzero(mask)
         for i in cars.tolist():
             if seeds[i] is not None:
@@ -315,8 +319,9 @@ def from_stable_baselines(model: Any, task: Task | None = None) -> PolicyBlock:
         activation="tanh" if between == {"Tanh"} else "relu",
         head="argmax" if task.angles else head,  # type: ignore[arg-type]
     )
-    sees = {"description": task.description, "dt": task.dt}
-    return PolicyBlock(policy=network, actions=task.angles, largest=task.scale, **sees)
+    return PolicyBlock(
+        policy=network, actions=task.angles, largest=task.scale, description=task.description, dt=task.dt
+    )
 
 
 _SEEN = 15

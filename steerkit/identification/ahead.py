@@ -92,14 +92,25 @@ def look_ahead(
                 predicted[who] = (scene.v_x[starts] * still, aside + scene.arm * turning, turning)
     ends = [round(horizon / dt) for horizon in HORIZONS]
     gone = ((place[at] - place[starts]) * np.exp(-1j * heading[starts]))[ends]
-    seen = (v_x[at[ends]], v_y[at[ends]], rate[at[ends]], gone.real, gone.imag)
-    measured = dict(zip(QUANTITIES, seen))
+    measured = {
+        "v_x": v_x[at[ends]],
+        "v_y": v_y[at[ends]],
+        "r": rate[at[ends]],
+        "longitudinal": gone.real,
+        "lateral": gone.imag,
+    }
     errors: dict[str, dict[str, tuple[float, ...]]] = {q: {} for q in QUANTITIES if known or q != "v_y"}
     for who, (ahead, aside, turning) in predicted.items():
         velocity = ahead + 1j * aside if known else np.hypot(ahead, aside)
         turned = np.exp(1j * cumulative_trapezoid(turning, dx=dt, axis=0, initial=0.0))
         way = cumulative_trapezoid(velocity * turned, dx=dt, axis=0, initial=0.0)[ends]
-        said = dict(zip(QUANTITIES, (velocity.real[ends], aside[ends], turning[ends], way.real, way.imag)))
+        said = {
+            "v_x": velocity.real[ends],
+            "v_y": aside[ends],
+            "r": turning[ends],
+            "longitudinal": way.real,
+            "lateral": way.imag,
+        }
         for quantity, by_predictor in errors.items():
             by_predictor[who] = tuple(map(rms, said[quantity] - measured[quantity]))
     note += "; none foresees v"

@@ -36,7 +36,8 @@ THIRDS, CONTRADICTION = 3, 5.99
 """Stretches of the log that must agree, and the 95 % point of chi^2 for what they differ by."""
 BANK = 0.02
 """Standard deviation of a road's mean bank, of which a log says nothing [rad]."""
-_REZERO = 15.0  # Driving from which the wheel's zero is found again, in the second figure of a prediction [s]
+REZERO = 15.0
+"""Driving from which the wheel's zero is found again, in the second figure of a prediction [s]."""
 OPEN = {
     "steer_ratio": "car.vehicle.steer_ratio",
     "delay": "drive.delay",
@@ -187,9 +188,11 @@ class Identified:
             "fit_rms": round(self.fit.rms, 6),
         }
         if held_out is not None:
-            other = held_out.drive
-            provenance |= {"held_out": other.name, "held_out_sha256": other.digest}
-            provenance["held_out_rms"] = round(held_out.rms, 6)
+            provenance |= {
+                "held_out": held_out.drive.name,
+                "held_out_sha256": held_out.drive.digest,
+                "held_out_rms": round(held_out.rms, 6),
+            }
         provenance |= {"command": command} if command else {}
         steering = {name: self.theta[name] for name in ("delay", "lag", "offset")}
         return vehicle_text(self.vehicle, steering=steering, estimates=self.intervals, provenance=provenance)
@@ -221,8 +224,11 @@ class Identified:
         found = {"log": list[str](), "log and prior": list[str](), "prior": list[str]()}
         for e in self.estimates:
             if e.source in found:
-                ends = f" {e.value:.4g} [{e.low:.4g}, {e.high:.4g}] {e.unit.removeprefix('1')}"
-                interval = ends if e.source != "prior" else ""
+                interval = (
+                    f" {e.value:.4g} [{e.low:.4g}, {e.high:.4g}] {e.unit.removeprefix('1')}"
+                    if e.source != "prior"
+                    else ""
+                )
                 found[e.source].append(f"{e.name}{interval}".strip())
         size = float(np.sqrt(np.mean(self.drive.r[self.drive.driving] ** 2)))
         share = f"{self.fit.rms_driving:.4f} rad/s RMS, {100.0 * self.fit.rms_driving / size:.1f} % of the yaw rate's"
@@ -267,8 +273,13 @@ class Identified:
                 left.plot([], [], " ", label=again)
             reach = 1.05 * max(float(np.abs(part.drive.r).max()) for part, _, _ in parts)
             cloud.plot([-reach, reach], [-reach, reach], color=COLOURS["ink"], lw=0.6)
-            span: Any = {"aspect": "equal", "xlim": (-reach, reach), "ylim": (-reach, reach)}
-            cloud.set(xlabel="measured yaw rate [rad/s]", ylabel="predicted yaw rate [rad/s]", **span)
+            cloud.set(
+                aspect="equal",
+                xlabel="measured yaw rate [rad/s]",
+                ylabel="predicted yaw rate [rad/s]",
+                xlim=(-reach, reach),
+                ylim=(-reach, reach),
+            )
             left.axhline(0.0, color=COLOURS["ink"], lw=0.6)
             rate.set_ylabel("yaw rate [rad/s]")
             left.set_ylabel("measured - predicted\n[mrad/s]")
@@ -291,7 +302,7 @@ def predict(simulator: Simulator, theta: dict[str, float]) -> Prediction:
     error = drive.r - predicted
     use = np.flatnonzero(drive.driving)
     slope = (rates[:, 1] - rates[:, 0]) / step
-    first, later = np.split(use, [min(len(use) // 2, round(_REZERO / drive.dt))])
+    first, later = np.split(use, [min(len(use) // 2, round(REZERO / drive.dt))])
     shift = float(slope[first] @ error[first] / (slope[first] @ slope[first]))
     return Prediction(
         drive=drive,
@@ -355,8 +366,9 @@ def identify(
 
     base: the car whose mass, inertia and geometry are taken as given (default: vw-passat): the yaw rate determines
     ratio times wheelbase and stiffness over mass, never the two apart. fixed: parameters to hold. known: (mean,
-    deviation) to replace a prior. Raises ValueError for an unknown name or a number out of bounds. Source: Ljung 1999,
-    sections 7.2 (output error) and 9.4; White 1982 (sandwich).
+    deviation) to replace a prior. Raises ValueError for an unknown name or a number out of bounds.
+
+    Source: Ljung 1999, sections 7.2 (output error) and 9.4; White 1982 (sandwich).
     """
     base = base or vehicle("vw-passat")
     require(drive.turns, drive.name, "it hardly turns: a drive straight on determines nothing of the car; add bends")
@@ -441,8 +453,9 @@ class _Problem:
             def jac(x: Array, weight: float = weight) -> Array:
                 return np.vstack((self.linearised(x)[1] * weight, np.diag(1.0 / self.deviation)))
 
-            how: Any = {"bounds": (self.low, self.high), "x_scale": self.deviation, "xtol": 1e-9, "ftol": 1e-9}
-            solution = least_squares(fun, theta, jac, **how)
+            solution = least_squares(
+                fun, theta, jac, bounds=(self.low, self.high), x_scale=self.deviation, xtol=1e-9, ftol=1e-9
+            )
             theta = solution.x
             error = self.linearised(theta)[0]
             correlation = dt * (2.0 * float(np.sum(self._autocorrelation(error))) - 1.0)
@@ -470,8 +483,9 @@ class _Problem:
         error, slopes = self.linearised(theta)
         for i in np.flatnonzero((theta <= self.low) | (theta >= self.high)):
             # at a bound the tangent may be flat (a lag of 0): the secant to half a prior deviation inside shows more
-            nearer = theta + 0.5 * self.deviation * np.sign(self.mean - theta)
-            inside = np.where(np.arange(len(theta)) == i, nearer, theta)
+            inside = np.where(
+                np.arange(len(theta)) == i, theta + 0.5 * self.deviation * np.sign(self.mean - theta), theta
+            )
             slopes = slopes.copy()
             slopes[:, i] = (self.linearised(inside)[0] - error) / (inside[i] - theta[i])
         prior = np.diag(self.deviation**-2.0)
@@ -531,8 +545,10 @@ class _Problem:
             deviation = max(both)
             steady = True
             if parts and prior > 0.0:
-                apart = np.array([g @ moved for moved, _ in parts])
-                weights = np.array([1.0 / (g @ c @ g) for _, c in parts])
+                apart, weights = (
+                    np.array([g @ moved for moved, _ in parts]),
+                    np.array([1.0 / (g @ c @ g) for _, c in parts]),
+                )
                 apart -= weights @ apart / weights.sum()
                 excess = float(weights @ apart**2) - (len(parts) - 1)
                 between = max(0.0, excess) / float(weights.sum() - weights @ weights / weights.sum())

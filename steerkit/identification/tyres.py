@@ -122,8 +122,9 @@ class Tyres:
         if v_y is not None and drive.v_y is None:
             arm = arm_of(drive, rate, v_y - slides * rate)
         v_x = forward(drive, v_y)
-        motion = np.stack((side - arm * rate, rate))
-        return Scene(drive.dt, v_x, _delta(drive, self.theta), motion, v_y is not None, arm)
+        return Scene(
+            drive.dt, v_x, _delta(drive, self.theta), np.stack((side - arm * rate, rate)), v_y is not None, arm
+        )
 
     def ahead(self, scene: Scene, starts: NDArray[np.intp], n: int, slopes: Slopes | None = None) -> Array:
         """(v_y, r) (2, n + 1, N) from the measured starts on, v_x staying what it is; slopes: others than its own."""
@@ -145,10 +146,11 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
     over pieces. A drive with a throttle gives v' = throttle_gain u - rolling - drag v^2 - F_f sin(delta)/m, by the
     change of speed over 1 s; without one drag cannot be told from the engine, and is left out with a note.
 
-    base: mass, inertia, geometry as given (default: vw-passat). v_y is the log's, or by position and heading; without
-    either the yaw rate tells alone. fixed: parameters to hold, in SI. A mu of which the log tells less than half is
-    NaN: "not determined". Raises ValueError for a drive that is too short or straight. Source: Bock 1983 (multiple
-    shooting); Ljung 1999, section 7.2; Pacejka 2012, section 4.3.
+    base: mass, inertia, geometry as given (default: vw-passat). v_y is the log's, or by position and
+    heading; without either the yaw rate tells alone. fixed: parameters to hold, in SI. A mu of which the log tells
+    less than half is NaN: "not determined". Raises ValueError for a drive that is too short or straight.
+
+    Source: Bock 1983 (multiple shooting); Ljung 1999, section 7.2; Pacejka 2012, section 4.3.
     """
     base = base or vehicle("vw-passat")
     for name in ("delta_sw", "v", "r"):
@@ -160,8 +162,13 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
     for name, value in (fixed or {}).items():
         known_name(name, table, "parameter of identify_tyres")
         kept = math.log(value) if name[:2] in _LOGS else value
-        low, high = _named({name: np.array([table[name].low, table[name].high])})[name]
-        require_within("identify_tyres", name, value, table[name].unit, low, high)
+        require_within(
+            "identify_tyres",
+            name,
+            value,
+            table[name].unit,
+            *_named({name: np.array([table[name].low, table[name].high])})[name],
+        )
         table[name] = replace(table[name], mean=kept, deviation=0.0)
     # before it fits, errors go together, and would count for nothing; few pieces are enough to come near
     few = _Pieces(drive, base, table, v_y, _FEW)
@@ -184,8 +191,9 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
                 unknown.append(name)
         value, low, high = map(float, ends)
         rows.append(Estimate(name, value, low, high, table[name].unit, learned, note))
-    linear = "not determined, slip stays in the tyres' linear range; drive harder"
-    notes = [f"{', '.join(unknown)}: {linear}"] * bool(unknown)
+    notes = [f"{', '.join(unknown)}: not determined, slip stays in the tyres' linear range; drive harder"] * bool(
+        unknown
+    )
     if v_y is None:
         notes.append("v_y is not in the log: front and rear are told apart by the yaw rate alone")
     rows += _drivetrain(drive, base, theta, notes)
@@ -205,8 +213,10 @@ def _drivetrain(drive: Drive, base: Vehicle, theta: Mapping[str, float], notes: 
     v = uniform_filter1d(drive.v, max(1, round(0.2 / drive.dt)))
     bend = v * drive.r * _delta(drive, theta) * base.l_r / base.wheelbase
     ways = [cumulative_trapezoid(a, dx=drive.dt, initial=0.0)[::n] for a in (u, -np.ones(len(v)), -(v**2), bend)]
-    driven = np.convolve(drive.driving, np.ones(n + 1), "valid")[::n] > n
-    use = np.isfinite(sum(map(np.diff, ways))) & driven[: len(ways[0]) - 1]
+    use = (
+        np.isfinite(sum(map(np.diff, ways)))
+        & (np.convolve(drive.driving, np.ones(n + 1), "valid")[::n] > n)[: len(ways[0]) - 1]
+    )
     a, b = np.diff(ways[:3]).T[use], (np.diff(v[::n]) + np.diff(ways[3]))[use]
     prior = np.diag([deviation**-2.0 for _, deviation in _PEDAL.values()])
     found, covariance = np.zeros(3), np.diag([deviation**2.0 for _, deviation in _PEDAL.values()])
@@ -275,8 +285,11 @@ class _Pieces:
                 break
             starts.append(at)
             at += n
-        few = f"{len(starts) * PIECE:g} s in pieces of {PIECE:g} s at 3 m/s or faster, expected 20 s or more"
-        require(len(starts) >= 10, drive.name, few)
+        require(
+            len(starts) >= 10,
+            drive.name,
+            f"{len(starts) * PIECE:g} s in pieces of {PIECE:g} s at 3 m/s or faster, expected 20 s or more",
+        )
         starts = [starts[i] for i in np.linspace(0, len(starts) - 1, min(most, len(starts))).round().astype(int)]
         self.at = np.array(starts) + np.arange(n + 1)[:, None]
         seen = np.full(len(drive.v), np.nan) if v_y is None else v_y
@@ -298,10 +311,12 @@ class _Pieces:
         """Measured less simulated (2, n + 1, N, M) for coordinates (p, M) and starts (2, N, M)."""
         theta = self.named(x)
         delta = np.stack([_delta(self.drive, self.named(one))[self.at] for one in x.T], axis=-1)
-        slopes = lambda t, *state: accelerations(self.base, theta, *state)  # noqa: E731
-        way = rolled(slopes, self.drive.dt, self.v_x[..., None], delta, starts)
-        aside = way[0] + theta["arm"] * way[1] + theta["slip_zero"] * self.v_x[..., None]
-        said = np.stack((aside, way[1] + theta["rate_zero"]))
+        way = rolled(
+            lambda t, *state: accelerations(self.base, theta, *state), self.drive.dt, self.v_x[..., None], delta, starts
+        )
+        said = np.stack(
+            (way[0] + theta["arm"] * way[1] + theta["slip_zero"] * self.v_x[..., None], way[1] + theta["rate_zero"])
+        )
         return np.where(self.known[..., None], self.measured[..., None] - said, 0.0)
 
     def linearised(self, x: Array, starts: Array) -> tuple[Array, Array, Array]:
@@ -414,8 +429,9 @@ def features(before: Array, v_x: Any, delta: Any, v_y: Any, r: Any) -> Array:
 
     before: the errors (2, ...) with which the last half second ended, v_y [m/s] and r [rad/s].
     """
-    bend, turn = v_x * r, v_x * delta
-    return np.stack([before[0] + 0.0 * r, before[1] + 0.0 * r, v_y, r, delta, bend, turn, abs(bend) * delta])
+    return np.stack(
+        [before[0] + 0.0 * r, before[1] + 0.0 * r, v_y, r, delta, v_x * r, v_x * delta, abs(v_x * r) * delta]
+    )
 
 
 def missed(tyres: Tyres, scene: Scene, starts: NDArray[np.intp]) -> Array:
@@ -441,9 +457,10 @@ def learn_residual(tyres: Tyres, drive: Drive) -> Residual:
 
     W minimises the errors of v_y, r and lateral displacement 0.2, 0.5, 1 and 2 s ahead of many starts, linearised about
     the tyres' roll-out, by ridge regression. Two features are what the last half second showed; those of the state, and
-    the share, are chosen on eighths of the drive held out in turn: the state enters where all three get better with 95
-    % confidence, the share is the lower 95 % bound of the best one, and 0 where one of the three gets worse, half a
+    the share, are chosen on eighths of the drive held out in turn: the state enters where all three get better with
+    95 % confidence, the share is the lower 95 % bound of the best one, and 0 where one of the three gets worse, half a
     second ahead or over all. White noise in v_y and r makes it a filter too: what was predicted corrects the start.
+
     Raises ValueError for a drive with less than eight seconds in a row of 1.5 s. Source: Hoerl, Kennard 1970.
     """
     scene, dt = tyres.scene(drive), drive.dt
@@ -533,8 +550,9 @@ def _effects(tyres: Tyres, scene: Scene, starts: NDArray[np.intp], way: Array, b
         slopes = partial(tyres.slopes, t, v_x, delta[j])
         v_y, r = way[:, j]
         here = np.array(slopes(v_y, r))
-        moved_on = (slopes(v_y + _NUDGE, r), slopes(v_y, r + _NUDGE))
-        tangent = np.stack([np.array(one) - here for one in moved_on], axis=-1)
+        tangent = np.stack(
+            (np.array(slopes(v_y + _NUDGE, r)) - here, np.array(slopes(v_y, r + _NUDGE)) - here), axis=-1
+        )
         pushed = moved[-1].copy()
         rows = scene.dt * features(before * math.exp(-t / LASTS), v_x, delta[j], v_y, r).T
         pushed[:, 0, :k] += rows

@@ -22,12 +22,15 @@ from steerkit.logs.drive import ODD, Drive, aligned, in_metres, odd_values
 __all__ = ["Channel", "Column", "ColumnMap", "Drive", "RawLog", "drive_of", "read_drive", "read_log", "shipped_drives"]
 
 
-_DAY = 86400.0  # [s]
-_SPARSE = 0.75  # A column of a table that is empty in more rows than these leave has rows of its own
+_DAY = 86400.0
+"""[s]"""
+_SPARSE = 0.75
+"""A column of a table that is empty in more rows than these leave has rows of its own."""
 _DRIVES = Path(__file__).parent / "drives"
 _SHIPPED = {"genesis": _DRIVES / "genesis.csv.gz", "genesis-rfs": _DRIVES / "genesis_rfs.csv.gz"}
 
-_STEER_RATIO = 15.0  # Steering-wheel angle over the road wheels' where a log has only these, and no ratio is given
+STEER_RATIO = 15.0
+"""Steering-wheel angle over the road wheels' where a log has only these, and no ratio is given."""
 
 
 def shipped_drives() -> tuple[str, ...]:
@@ -81,8 +84,13 @@ def read_log(files: Files, *, dbc: str | Path | Iterable[str | Path] = (), time:
         while again in channels:
             again, count = f"{name} #{count}", count + 1
         channels[again] = replace(channel, name=again)
-    name, where = ", ".join(path.name for path in paths), ", ".join(map(str, paths))
-    return RawLog(name=name, where=where, channels=channels, notes=tuple(notes), digest=_of_all(digests))
+    return RawLog(
+        name=", ".join(path.name for path in paths),
+        where=", ".join(map(str, paths)),
+        channels=channels,
+        notes=tuple(notes),
+        digest=_of_all(digests),
+    )
 
 
 def read_drive(
@@ -122,7 +130,7 @@ def drive_of(
     del log  # a long one may be larger than its drive
     notes += odd_values({quantity: values[quantity] for quantity in ODD if quantity in values}, times)
     if "delta" in values and "delta_sw" not in values:
-        ratio = _STEER_RATIO if steer_ratio is None else steer_ratio
+        ratio = STEER_RATIO if steer_ratio is None else steer_ratio
         require(0.0 < ratio < 100.0, where, f"steer_ratio = {ratio:g}, expected more than 0, such as 15")
         values["delta_sw"], times["delta_sw"] = ratio * values.pop("delta"), times.pop("delta")
         kind = "not known: say steer_ratio" if steer_ratio is None else "as given"
@@ -130,8 +138,15 @@ def drive_of(
     if {"lat_deg", "lon_deg"} <= values.keys():
         in_metres(values, times, notes)
     commanded = "delta_sw" in used.columns and is_command(used.columns["delta_sw"].name)
-    told: Any = {"notes": notes, "digest": digest, "commanded": commanded}
-    return Drive.of(aligned(values, times, where, notes), name=name, dt=dt, trusted=trusted, **told)
+    return Drive.of(
+        aligned(values, times, where, notes),
+        name=name,
+        dt=dt,
+        trusted=trusted,
+        notes=notes,
+        digest=digest,
+        commanded=commanded,
+    )
 
 
 def _many(files: Any) -> list[Any]:
@@ -185,8 +200,9 @@ def _channels(table: Table, time: Column | None, where: str) -> Iterable[Channel
             unit, means = table.units.get(name, ""), table.means.get(name, "")
             held = np.isfinite(numbers)
             own = table.t is None and 0.0 < held.mean() < _SPARSE  # signals on rows of their own
-            t_own, numbers = (t[held], numbers[held]) if own else (t, numbers)
-            yield Channel(name=name, t=t_own, values=numbers, unit=unit, means=means)
+            yield Channel(
+                name=name, t=t[held] if own else t, values=numbers[held] if own else numbers, unit=unit, means=means
+            )
 
 
 def _clock(table: Table, time: Column | None, where: str) -> str:
@@ -194,8 +210,12 @@ def _clock(table: Table, time: Column | None, where: str) -> str:
     if time is not None and time.name in table.columns:
         return time.name
     known = [name for name in table.columns if place("t", name) is not None]
-    how = 'such as t = { column = "stamp", unit = "ms" }, or with --column t=stamp:ms'
-    require(known, where, f"which column is t? Columns: {', '.join(table.columns)}. Say so in a map, {how}")
+    require(
+        known,
+        where,
+        f"which column is t? Columns: {', '.join(table.columns)}. Say so in a map, such as "
+        't = { column = "stamp", unit = "ms" }, or with --column t=stamp:ms',
+    )
     return known[0]
 
 

@@ -22,8 +22,10 @@ _CANDUMP = re.compile(
     r"\((\d+\.\d+)\) +\S+ +([0-9A-F]+)#(?:#[0-9A-F])?(R\d*|(?:[0-9A-F]{2})*)( [RT])?\s*", re.IGNORECASE
 )
 """A line of candump: time, identifier, data; R: a remote frame."""
-_ERROR = 0x20000000  # Bit of the identifiers that candump gives error frames
-_FEW = 50  # From this number of frames on, a sum that nearly all of a message hold is its check sum
+_ERROR = 0x20000000
+"""Bit of the identifiers that candump gives error frames."""
+_FEW = 50
+"""From this number of frames on, a sum that nearly all of a message hold is its check sum."""
 
 Frame = tuple[float, int, bool, bytes]
 """Time [s], identifier, is it extended, data."""
@@ -145,11 +147,15 @@ class Decoder:
         """The signals of all frames that the DBC knows; a note names the others."""
         require(self.seen, str(path), f"no CAN frames in it{'; ' + notes[-1] if notes else ''}")
         seen = ", ".join(f"0x{frame:X} ({count})" for (frame, _), count in sorted(self.seen.items())[:12])
-        many = f"CAN frames of {len(self.seen)} identifiers ({seen}{', ...' if len(self.seen) > 12 else ''})"
-        say = "--dbc FILE.dbc, or --dbc NAME of the package opendbc, such as toyota_nodsu_pt_generated"
-        require(self._dbc, str(path), f"{many}; say what is in them with {say}")
-        none = f"none of its identifiers ({seen}) is in {', '.join(self._dbc)}: of another car?"
-        require(self._rows, str(path), none)
+        require(
+            self._dbc,
+            str(path),
+            f"CAN frames of {len(self.seen)} identifiers ({seen}{', ...' if len(self.seen) > 12 else ''}); say what is "
+            "in them with --dbc FILE.dbc, or --dbc NAME of the package opendbc, such as toyota_nodsu_pt_generated",
+        )
+        require(
+            self._rows, str(path), f"none of its identifiers ({seen}) is in {', '.join(self._dbc)}: of another car?"
+        )
         unknown = [f"0x{frame:X}" for frame, extended in sorted(self.seen) if (frame, extended) not in self._messages]
         if unknown:
             some = ", ".join(unknown[:8]) + (", ..." if len(unknown) > 8 else "")
@@ -177,8 +183,9 @@ def _opendbc(name: str) -> str:
     try:
         import opendbc
     except ImportError:
-        needed = "names without .dbc are those of the package opendbc, which is not installed"
-        raise ValueError(f"--dbc {name}: no such file; {needed}") from None
+        raise ValueError(
+            f"--dbc {name}: no such file; names without .dbc are those of the package opendbc, which is not installed"
+        ) from None
     folder, made = Path(opendbc.DBC_PATH), opendbc.get_generated_dbcs()
     names = sorted({*made, *(file.stem for file in folder.glob("*.dbc"))})
     known(name, names, "--dbc")

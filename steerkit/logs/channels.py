@@ -65,9 +65,11 @@ def is_command(name: str) -> bool:
 
 def candidates(quantity: str, channels: Mapping[str, Channel]) -> list[str]:
     """The channels that may be that quantity, best first: by kind of message, by name, then by rate."""
-    ranks = {name: _rank(quantity, channel) for name, channel in channels.items()}
-    fit = [(name, rank) for name, rank in ranks.items() if rank is not None]
-    ranked = [(rank, -channels[name].rate, k, name) for k, (name, rank) in enumerate(fit)]
+    ranked = [
+        (rank, -channel.rate, k, name)
+        for k, (name, channel) in enumerate(channels.items())
+        if (rank := _rank(quantity, channel)) is not None
+    ]
     return [name for *_, name in sorted(ranked)]
 
 
@@ -142,8 +144,12 @@ class ColumnMap:
             for key in given:
                 known(key, ("column", "unit", "scale", "offset"), f"{where}: key of {quantity}")
             require("column" in given, where, f"{quantity} = {entry!r}; give a name or {{ column = ..., unit = ... }}")
-            scale, offset = float(given.get("scale", 1.0)), float(given.get("offset", 0.0))
-            columns[quantity] = Column(str(given["column"]), str(given.get("unit", "")), scale, offset)
+            columns[quantity] = Column(
+                str(given["column"]),
+                str(given.get("unit", "")),
+                float(given.get("scale", 1.0)),
+                float(given.get("offset", 0.0)),
+            )
             columns[quantity].factor(quantity, where)
         return cls(columns)
 
@@ -181,9 +187,12 @@ class ColumnMap:
         missing = [] if {"delta_sw", "delta"} & columns.keys() else ["delta_sw"]
         missing += [] if "v" in columns else ["v"]
         missing += [] if {"r", "psi"} & columns.keys() else ["r or psi"]
-        how = 'delta_sw = { column = "steering_angle", unit = "deg" }, or with --column delta_sw=steering_angle:deg'
-        which = f"which column is {', '.join(missing)}? Columns: {', '.join(channels)}"
-        require(not missing, where, f"{which}. Say so in a map, such as {how}")
+        require(
+            not missing,
+            where,
+            f"which column is {', '.join(missing)}? Columns: {', '.join(channels)}. Say so in a map, such as "
+            'delta_sw = { column = "steering_angle", unit = "deg" }, or with --column delta_sw=steering_angle:deg',
+        )
         return ColumnMap(columns)
 
     def text(self) -> str:

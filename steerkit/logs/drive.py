@@ -156,11 +156,13 @@ def standing_off(values: Array, least: float | Array) -> NDArray[np.intp]:
     return np.flatnonzero(beside > most) + 1
 
 
-_V_DRIVING = 3.0  # From this speed on [m/s] a drive shows the car; below, the models roll kinematically
+V_DRIVING = 3.0
+"""From this speed on [m/s] a drive shows the car; below, the models roll kinematically."""
 
 LEAST = 20.0
 """Least driving to identify from [s]."""
-_TURNING = 3e-4  # Standard deviation of the curvature from which on a drive turns [1/m]
+TURNING = 3e-4
+"""Standard deviation of the curvature from which on a drive turns [1/m]."""
 SETTLE = 1.0
 """After a gap, and at the start, the model has this long to forget what it does not know [s]."""
 SCALE_WINDOW, SCALE_UNKNOWN = 5.0, 0.05
@@ -217,13 +219,13 @@ class Drive:
     @property
     def driving(self) -> NDArray[np.bool_]:
         """The samples that a model is fitted to: recorded, and 3 m/s or faster (n,)."""
-        return self.measured & (self.v >= _V_DRIVING)
+        return self.measured & (self.v >= V_DRIVING)
 
     @property
     def turns(self) -> bool:
         """Does it turn enough to identify the car? Else not even units and signs can be judged."""
         use = self.driving
-        return float(np.std(self.r[use] / self.v[use])) > _TURNING
+        return float(np.std(self.r[use] / self.v[use])) > TURNING
 
     def to_log(self) -> Log:
         """The drive as a Log: `save` writes it as .csv, .npz or .parquet, which `read_drive` reads again."""
@@ -279,7 +281,7 @@ class Drive:
             **{key: even[key] for key in ("delta_sw", "v", "psi", *PLACES) if key in even},
         )
         seconds = float(np.sum(drive.driving)) * dt
-        require(seconds >= LEAST, name, f"only {seconds:.1f} s at {_V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
+        require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
         if not trusted:
             _check_speeds_unit(drive, t)
             _check_plausible(drive)
@@ -325,8 +327,9 @@ def _whole_rows(columns: dict[str, Array], name: str, remarks: list[str]) -> dic
             )
         _keep(columns, order)
         reverse = back > 0.9 * (len(t) - 1)
-        sorted_ = f"sorted by time: {back} times a row was"
-        how = "turned round, as its time falls from row to row" if reverse else sorted_
+        how = (
+            "turned round, as its time falls from row to row" if reverse else f"sorted by time: {back} times a row was"
+        )
         remarks.append(how if reverse else f"{how} earlier than the one before")
     new = np.concatenate(([True], np.diff(columns["t"]) > 0.0))
     if not new.all():
@@ -346,11 +349,15 @@ def _steps(t: Array, name: str, remarks: list[str]) -> tuple[float, NDArray[np.i
         raise ValueError(f"{name}: t steps by {step:g} s, expected 0.0005 to 0.5 s; {advice}")
     gaps = np.flatnonzero(steps > max(5.0 * step, 0.25))
     if len(gaps):
-        lost, lasts = float(steps[gaps].sum()), float(t[-1] - t[0])
-        left = "too little is left; is t the right column, in seconds?"
-        require(lost <= 0.5 * lasts, name, f"{lost:.0f} s of {lasts:.0f} s are gaps: {left}")
-        longest = f"(the longest {steps.max():.1f} s)"
-        remarks.append(f"{len(gaps)} gaps, {lost:.1f} s in all {longest}: bridged, not compared")
+        lost, share = float(steps[gaps].sum()), float(steps[gaps].sum() / (t[-1] - t[0]))
+        require(
+            share <= 0.5,
+            name,
+            f"{lost:.0f} s of {t[-1] - t[0]:.0f} s are gaps: too little is left; is t the right column, in seconds?",
+        )
+        remarks.append(
+            f"{len(gaps)} gaps, {lost:.1f} s in all (the longest {steps.max():.1f} s): bridged, not compared"
+        )
     return step, gaps
 
 
@@ -391,13 +398,22 @@ def _check_ranges(columns: dict[str, Array], name: str) -> None:
     limits = {"delta_sw": (17.5, "rad", "deg"), "v": (100.0, "m/s", "km/h"), "r": (fastest, "rad/s", "deg/s")}
     for quantity, (high, unit, likely) in limits.items():
         largest = float(np.abs(columns.get(quantity, np.zeros(1))).max())
-        say = f'is it in {likely}? Say unit = "{likely}" in the column map'
-        require(largest <= high, name, f"{quantity} reaches {largest:.4g} {unit}, expected {high:g} at most; {say}")
+        require(
+            largest <= high,
+            name,
+            f"{quantity} reaches {largest:.4g} {unit}, expected {high:g} at most; is it in {likely}? Say "
+            f'unit = "{likely}" in the column map',
+        )
     lowest = float(columns["v"].min())
-    back = f"v falls to {lowest:.3g} m/s: reversing is not modelled; cut it out, or mind v's sign"
-    require(lowest >= -1.0, name, back)
-    turns = np.abs(np.abs(np.diff(columns.get("psi", np.zeros(2)))) - 360.0) < 30.0
-    require(not turns.any(), name, 'psi jumps by 360: it is in deg; say unit = "deg" in the column map')
+    require(
+        lowest >= -1.0, name, f"v falls to {lowest:.3g} m/s: reversing is not modelled; cut it out, or mind v's sign"
+    )
+    jumps = np.abs(np.diff(columns.get("psi", np.zeros(2))))
+    require(
+        not (np.abs(jumps - 360.0) < 30.0).any(),
+        name,
+        'psi jumps by 360: it is in deg; say unit = "deg" in the column map',
+    )
 
 
 def _resampled(columns: dict[str, Array], dt: float, step: float) -> dict[str, Array]:
@@ -441,8 +457,8 @@ def _yaw_rate(
         window = 2 * round(0.5 * HEADING_WINDOW / dt) + 1
         remarks.append(f"yaw rate: slope of the heading over {window * dt:.2f} s")
         return scipy.signal.savgol_filter(even["psi"], window, 2, deriv=1, delta=dt), True, 0.0
-    use = measured & (even["v"] >= _V_DRIVING)
-    require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {_V_DRIVING:g} m/s or faster")
+    use = measured & (even["v"] >= V_DRIVING)
+    require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {V_DRIVING:g} m/s or faster")
     n = round(SCALE_WINDOW / dt)
     through = np.convolve(use, np.ones(n + 1), mode="valid") > n + 0.5
     gyro = scipy.integrate.cumulative_trapezoid(even["r"], dx=dt, initial=0.0)
@@ -506,8 +522,11 @@ def _check_plausible(drive: Drive) -> None:
     if not drive.turns:
         return
     slope, correlation = _line(drive.r[use] / drive.v[use], drive.delta_sw[use])
-    apart = f"steering and curvature r/v go together by {correlation:.2f} only (1: fully); wrong columns or clocks?"
-    require(abs(correlation) > 0.7, drive.name, apart)
+    require(
+        abs(correlation) > 0.7,
+        drive.name,
+        f"steering and curvature r/v go together by {correlation:.2f} only (1: fully); wrong columns or clocks?",
+    )
     small = _is_small(drive.r, drive.v)
     if (0.1 if small else PLAUSIBLE[0]) <= slope <= PLAUSIBLE[1]:
         return
@@ -521,8 +540,11 @@ def _check_plausible(drive: Drive) -> None:
     flip = -1.0 if slope < 0.0 else 1.0
     turned = "one of delta_sw and r has the wrong sign (scale = -1)"
     fits = [turned] if 20.0 <= -slope <= 90.0 else []
-    likely_ones = [cause for cause, factor in causes.items() if 20.0 <= flip * slope * factor <= 90.0]
-    fits += [cause + (f", and {turned}" if flip < 0.0 else "") for cause in likely_ones]
+    fits += [
+        cause + (f", and {turned}" if flip < 0.0 else "")
+        for cause, factor in causes.items()
+        if 20.0 <= flip * slope * factor <= 90.0
+    ]
     likely = f"; perhaps {'; or '.join(fits)}" if fits else ""
     raise ValueError(
         f"{drive.name}: delta_sw/curvature is {slope:.4g} m, a road car has {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} m "
@@ -532,7 +554,8 @@ def _check_plausible(drive: Drive) -> None:
 
 LATEST, EARLIEST = 0.7, -0.3
 """By how much a yaw rate may follow the steering [s]: more is of no car, but of its clock."""
-_SOUGHT = 3.0  # Lags up to this are looked for [s]
+_SOUGHT = 3.0
+"""Lags up to this are looked for [s]."""
 
 
 def _late(drive: Drive) -> str:

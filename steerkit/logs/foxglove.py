@@ -184,8 +184,9 @@ class Server(Topics):
         try:
             self._server = self.sdk.start_server(**about, context=self.context)
         except (RuntimeError, OverflowError) as error:
-            why = str(error).removeprefix("FoxgloveError: ")
-            raise ValueError(f"stream at {where}: {why}; choose another port, or 0 for any") from error
+            raise ValueError(
+                f"stream at {where}: {str(error).removeprefix('FoxgloveError: ')}; choose another port, or 0 for any"
+            ) from error
         self.address = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
 
     def end(self) -> None:

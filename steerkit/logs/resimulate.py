@@ -27,10 +27,14 @@ from steerkit.vehicles import Vehicle
 
 Array = NDArray[np.floating[Any]]
 
-_SPACING = 2.0  # The driven way has a point so often [m]
-_SMOOTH = 0.5  # Yaw rate is averaged over so long, without delay, before a way is made of it [s]
-_SLOW = 3.0  # Below this speed wheels are turned for parking and standing: not compared [m/s]
-_APART = 10.0  # Places where the two differ most lie so far apart [s]
+_SPACING = 2.0
+"""The driven way has a point so often [m]."""
+_SMOOTH = 0.5
+"""Yaw rate is averaged over so long, without delay, before a way is made of it [s]."""
+_SLOW = 3.0
+"""Below this speed wheels are turned for parking and standing: not compared [m/s]."""
+_APART = 10.0
+"""Places where the two differ most lie so far apart [s]."""
 _KEPT = ("path.e", "actuator.delta_sw", *(f"car.{name}" for name in ("x", "y", "psi", "v", "a_y", "delta_sw")))
 
 

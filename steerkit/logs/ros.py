@@ -53,7 +53,8 @@ DEFINITIONS |= {
 
 _HEAVY = ("Image", "CompressedImage", "PointCloud2", "LaserScan", "OccupancyGrid", "TFMessage", "MarkerArray", "Path")
 """Kinds that hold no number over time that a drive could be made of."""
-_NEAR = 3600.0  # A stamp further than this from when the message was recorded is of another clock [s]
+_NEAR = 3600.0
+"""A stamp further than this from when the message was recorded is of another clock [s]."""
 
 
 class _Bag:

@@ -78,8 +78,9 @@ def with_units(columns: Columns) -> Table:
     parts = {name: parted(name) for name in columns}
     distinct = len({bare for bare, _ in parts.values()}) == len(columns)
     parts = {name: (bare if distinct else name, unit) for name, (bare, unit) in parts.items()}
-    bare = {parts[name][0]: values for name, values in columns.items()}
-    return Table(columns=bare, units=dict(filter(all, parts.values())))
+    return Table(
+        columns={parts[name][0]: values for name, values in columns.items()}, units=dict(filter(all, parts.values()))
+    )
 
 
 def read_mat(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
@@ -170,14 +171,16 @@ def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
             series.setdefault(name, []).append((min(frame["arrived"], frame["t"]), value))
     if bad:
         notes.append(f"left out {bad} frames that were broken or held no value")
-    lacks = f"no steering angle or speed; read: {', '.join(series) or 'none'}"
-    require({"delta_sw", "v"} <= set(series), str(path), lacks)
+    require(
+        {"delta_sw", "v"} <= set(series), str(path), f"no steering angle or speed; read: {', '.join(series) or 'none'}"
+    )
     tables = []
     for name, points in series.items():
         t, values = np.array(points).T
         means = {name: _MEANS[name]} if name in _MEANS else {}
-        units = {known: DIMENSION[known] for known in means}
-        tables.append(Table(columns={name: values}, units=units, means=means, t=t))
+        tables.append(
+            Table(columns={name: values}, units={known: DIMENSION[known] for known in means}, means=means, t=t)
+        )
     return tables
 
 
@@ -206,8 +209,10 @@ def write_mf4(log: Log, file: Path) -> None:
     asammdf = optional("asammdf", f"{file}: MF4", "logs")
     units = {"t": "s", **log.units}
     columns = {name: values for name, values in log.columns().items() if name != "t"}
-    of = {name: (np.asarray(values), units[name.split("[")[0]]) for name, values in columns.items()}
-    signals = [asammdf.Signal(samples=v, timestamps=log.t, name=name, unit=unit) for name, (v, unit) in of.items()]
+    signals = [
+        asammdf.Signal(samples=np.asarray(values), timestamps=log.t, name=name, unit=units[name.split("[")[0]])
+        for name, values in columns.items()
+    ]
     with atomic_write(file) as draft, draft.open("wb") as stream, _silent(), asammdf.MDF(version="4.10") as mdf:
         mdf.append(signals, comment="steerkit")
         mdf.save(stream)

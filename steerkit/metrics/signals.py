@@ -10,7 +10,8 @@ from steerkit._support.errors import require
 from steerkit.diagram.maths import Array
 from steerkit.diagram.units import degrees_of
 
-_JERK_WINDOW = 0.5  # Length of the moving average of lateral jerk [s]; source: ISO 11270:2014, UN R79
+JERK_WINDOW = 0.5
+"""Length of the moving average of lateral jerk [s]; source: ISO 11270:2014, UN R79."""
 
 
 def rms(signal: ArrayLike) -> float:
@@ -71,8 +72,8 @@ def lateral_jerk(t: ArrayLike, a_y: ArrayLike) -> Array:
     Source: ISO 11270:2014 (limit 5 m/s^3; a_y at most 3 m/s^2).
     """
     values, dt = samples("lateral_jerk", a_y), step(t, "lateral_jerk")
-    n = round(_JERK_WINDOW / dt)
-    expected = f"expected dt <= 0.25 s and more than {_JERK_WINDOW} s of record"
+    n = round(JERK_WINDOW / dt)
+    expected = f"expected dt <= 0.25 s and more than {JERK_WINDOW} s of record"
     require(2 <= n < len(values), "lateral_jerk", f"{len(values)} samples at dt = {dt:g} s, {expected}")
     return (values[n:] - values[:-n]) / (n * dt)
 

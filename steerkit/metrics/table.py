@@ -15,8 +15,10 @@ from steerkit.diagram.units import degrees_of
 from steerkit.metrics import signals
 from steerkit.metrics.drive import same_shapes, summary
 
-_R79_CUTOFF = 0.5  # Cut-off of the filter of lateral acceleration [Hz]; source: UN R79, 03 series, annex 8
-_WEIGHTING_RATE = 1000.0  # Least rate at which ISO 2631-1's filter runs [Hz]; slower records are interpolated first
+R79_CUTOFF = 0.5
+"""Cut-off of the filter of lateral acceleration [Hz]; source: UN R79, 03 series, annex 8."""
+WEIGHTING_RATE = 1000.0
+"""Least rate at which ISO 2631-1's filter runs [Hz]; slower records are interpolated first."""
 
 
 def r79_acceleration(t: ArrayLike, a_y: ArrayLike) -> Array:
@@ -28,8 +30,8 @@ def r79_acceleration(t: ArrayLike, a_y: ArrayLike) -> Array:
     """
     values, dt = signals.samples("r79_acceleration", a_y), signals.step(t, "r79_acceleration", a_y)
     if dt > 0.25:
-        raise ValueError(f"r79_acceleration: dt = {dt:g} s, expected <= 0.25 s for a cut-off of {_R79_CUTOFF:g} Hz")
-    sos = scipy.signal.butter(4, _R79_CUTOFF, fs=1.0 / dt, output="sos")
+        raise ValueError(f"r79_acceleration: dt = {dt:g} s, expected <= 0.25 s for a cut-off of {R79_CUTOFF:g} Hz")
+    sos = scipy.signal.butter(4, R79_CUTOFF, fs=1.0 / dt, output="sos")
     filtered: Array = scipy.signal.sosfilt(sos, values, zi=scipy.signal.sosfilt_zi(sos) * values[0])[0]
     return filtered
 
@@ -53,8 +55,8 @@ def wd_filter(rate: float) -> Array:
     by the bilinear transform; below rate/20 its gain is H's within 1 %. Raises ValueError for a rate below 1000 Hz.
     Source: ISO 2631-1:1997, annex A, table A.1.
     """
-    if not rate > 0.999 * _WEIGHTING_RATE:
-        raise ValueError(f"wd_filter: rate {rate:g} Hz, expected >= {_WEIGHTING_RATE:g} Hz")
+    if not rate > 0.999 * WEIGHTING_RATE:
+        raise ValueError(f"wd_filter: rate {rate:g} Hz, expected >= {WEIGHTING_RATE:g} Hz")
     w1, w2, w3, q4 = 2.0 * math.pi * 0.4, 2.0 * math.pi * 100.0, 2.0 * math.pi * 2.0, 0.63
     stages = (
         ([1.0, 0.0, 0.0], [1.0, math.sqrt(2.0) * w1, w1**2]),
@@ -74,7 +76,7 @@ def weighted_acceleration(t: ArrayLike, a_y: ArrayLike) -> float:
     Raises ValueError for uneven t. Source: ISO 2631-1:1997, equation 1, k_d = 1.
     """
     values, dt = signals.samples("weighted_acceleration", a_y), signals.step(t, "weighted_acceleration", a_y)
-    times = math.ceil((1.0 - 1e-6) * _WEIGHTING_RATE * dt)
+    times = math.ceil((1.0 - 1e-6) * WEIGHTING_RATE * dt)
     # both ends held for 2 s: the interpolator sees no edge there, and the weighting starts at rest
     held = math.ceil(2.0 / dt)
     long = np.pad(values - values[0], held, mode="edge")

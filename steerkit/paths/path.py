@@ -73,8 +73,9 @@ class Path:
         where = f"Path '{name}'"
         points = checked(np.asarray(xy, dtype=float), where)
         if not (math.isfinite(smoothing) and smoothing >= 0.0 and math.isfinite(spacing) and spacing > 0.0):
-            given = f"smoothing {smoothing} [m], spacing {spacing} [m]"
-            raise ValueError(f"{where}: {given}, expected smoothing >= 0 and spacing > 0")
+            raise ValueError(
+                f"{where}: smoothing {smoothing} [m], spacing {spacing} [m], expected smoothing >= 0 and spacing > 0"
+            )
         if closed:
             points = ring(points, where)
         u = travelled(points)

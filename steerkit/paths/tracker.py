@@ -8,6 +8,7 @@ import numpy as np
 from steerkit._support.errors import number, require
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Scalar
 from steerkit.paths.path import Path
 from steerkit.task import DT
 
@@ -61,14 +62,14 @@ class PathTracker(Block):
     preview = Out("1/m", size="preview_points", direct=(x, y, psi, v))
 
     path: Path
-    reference: m.Scalar = number(0.0, "m", low=-1e3, high=1e3)
+    reference: Scalar = number(0.0, "m", low=-1e3, high=1e3)
     window: float = number(1.0, "m", above=0.0)
     preview_points: int = 0
     preview_dt: float = number(DT, "s", above=0.0, high=3600.0)
 
     class X(NamedTuple):
-        s: m.Scalar
-        progress: m.Scalar
+        s: Scalar
+        progress: Scalar
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -93,8 +94,12 @@ class PathTracker(Block):
             return self.X(s, 0.0)
         pose = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, dtype=float)) for a in (px, py, u.psi)))
         lost = np.flatnonzero(~np.isfinite(pose).all(axis=0))
-        which = f"pose x, y [m], psi [rad] of car {', '.join(map(str, lost[:5]))} at the start"
-        require(not lost.size, "PathTracker", f"{which}, expected finite numbers; check what drives x, y and psi")
+        require(
+            not lost.size,
+            "PathTracker",
+            f"pose x, y [m], psi [rad] of car {', '.join(map(str, lost[:5]))} at the start, expected finite numbers; "
+            "check what drives x, y and psi",
+        )
         cars = len(pose[0])
         groups = [slice(k, k + _CARS_AT_ONCE) for k in range(0, cars, _CARS_AT_ONCE)]
         s = np.concatenate([self._nearest(*(a[group] for a in pose)) for group in groups])
@@ -140,11 +145,11 @@ class PathTracker(Block):
         ahead = self._on_path(y.s, m.where(m.absolute(ahead) <= self.path.length, ahead, 0.0))
         return self.X(self.path.back(y.s + ahead), y.progress + ahead)
 
-    def _ahead(self, s: m.Scalar, v: m.Scalar) -> tuple[m.Scalar, ...]:
+    def _ahead(self, s: Scalar, v: Scalar) -> tuple[Scalar, ...]:
         stride = self.preview_dt * m.where(m.is_finite(v), v, 0.0)  # a broken speed shows in e_dot
         return tuple([self.path.kappa(s + j * stride) for j in range(self.preview_points)])
 
-    def _step(self, s: m.Scalar, px: m.Scalar, py: m.Scalar, frame: tuple[m.Scalar, ...]) -> m.Scalar:
+    def _step(self, s: Scalar, px: Scalar, py: Scalar, frame: tuple[Scalar, ...]) -> Scalar:
         """One Newton step towards the foot point [m]; in this order of arguments a NaN becomes -window."""
         cx, cy, tx, ty, ddx, ddy = frame
         ex, ey = px - cx, py - cy
@@ -152,7 +157,7 @@ class PathTracker(Block):
         step = m.minimum(self.window, m.maximum(-self.window, step))
         return step if self.path.closed else self._on_path(s, step)
 
-    def _on_path(self, s: m.Scalar, step: m.Scalar) -> m.Scalar:
+    def _on_path(self, s: Scalar, step: Scalar) -> Scalar:
         return step if self.path.closed else m.clip(s + step, 0.0, self.path.length) - s
 
     def _nearest(self, px: Any, py: Any, psi: Any) -> Any:

@@ -20,7 +20,8 @@ _FEWEST_CLOSED = 6
 
 _CALLED = {"x": "x", "y": "y", "lat_deg": "lat", "lon_deg": "lon", "t": "t", "v": "v"}
 """Quantities, and what their columns are called here."""
-_READ = (*_CALLED.values(), "s", "psi", "kappa", "v_limit")  # Columns that have to hold numbers
+_READ = (*_CALLED.values(), "s", "psi", "kappa", "v_limit")
+"""Columns that have to hold numbers."""
 _SCALES = {unit: factor for units in FACTORS.values() for unit, factor in units.items()}
 
 
@@ -83,8 +84,11 @@ def _named(names: list[str], where: str) -> list[tuple[str, float]]:
     called = ["s" if bare.lower() == "s_m" else bare.lower() for bare, _ in parts]
     meant = [""] * len(names)
     for quantity, short in _CALLED.items():
-        places = [(k, place(quantity, bare)) for k, (bare, _) in enumerate(parts)]
-        found = [(called[k] != short, at, k) for k, at in places if at is not None]
+        found = [
+            (called[k] != short, at, k)
+            for k, (bare, _) in enumerate(parts)
+            if (at := place(quantity, bare)) is not None
+        ]
         if found:
             *_, k = min(found)
             called[k], meant[k] = short, quantity
@@ -169,8 +173,10 @@ def ring(points: Array, where: str) -> Array:
     ends = np.array([points[-1] - points[-2], points[1] - points[0]])
     if (ends @ back < -0.5 * np.hypot(*ends.T) * gap).all():
         near = len(points) // 2 + int(np.argmin(np.hypot(*(points[len(points) // 2 :] - points[0]).T)))
-        cut = f"cut it to the first {near} waypoints, where it comes back to its start"
-        raise ValueError(f"{where}: closed, but its end overlaps its start by {gap:.3g} m; {cut}")
+        raise ValueError(
+            f"{where}: closed, but its end overlaps its start by {gap:.3g} m; cut it to the first {near} waypoints, "
+            "where it comes back to its start"
+        )
     return np.vstack((points, points[:1]))
 
 
@@ -179,13 +185,15 @@ def check_gps(lat: Array, lon: Array, where: str) -> None:
     if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
         raise ValueError(f"{where}: lat of shape {lat.shape}, lon of shape {lon.shape}, expected both (n,)")
     broken = np.flatnonzero(~(np.isfinite(lat) & np.isfinite(lon)))
-    require(not broken.size, where, f"position {_few(broken)} not finite [degrees], expected numbers")
+    if broken.size:
+        raise ValueError(f"{where}: position {_few(broken)} not finite [degrees], expected numbers")
     wrong = np.flatnonzero((np.abs(lat) > 90.0) | (np.abs(lon) > 180.0))
     if wrong.size:
         k = wrong[0]
         swapped = "; swapped?" if np.abs(lat).max() <= 180.0 and np.abs(lon).max() <= 90.0 else ""
-        at = f"position {k}: lat {lat[k]:g}, lon {lon[k]:g} [degrees]"
-        raise ValueError(f"{where}: {at}, expected -90..90 and -180..180{swapped}")
+        raise ValueError(
+            f"{where}: position {k}: lat {lat[k]:g}, lon {lon[k]:g} [degrees], expected -90..90 and -180..180{swapped}"
+        )
     if np.abs(lat).max() <= math.pi / 2.0 and np.abs(lon).max() <= math.pi:  # open sea, if they were degrees
         raise ValueError(f"{where}: lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
 
@@ -239,8 +247,9 @@ def stray_ends(
         left = steps[::way][:2] - 30.0 > FASTEST * late
         if (step > most and not ahead) or (left[0] and not left[1]):
             where = f"({a[end]:g}, {b[end]:g}) [{'m' if flat else 'degrees'}]"
-            beside = "next" if way > 0 else "last"
-            found[end] = f"{where} lies {step:.0f} m from the {beside} position, as no car drives"
+            found[end] = (
+                f"{where} lies {step:.0f} m from the {'next' if way > 0 else 'last'} position, as no car drives"
+            )
     return found
 
 

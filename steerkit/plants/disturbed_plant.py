@@ -8,6 +8,7 @@ from steerkit._support.errors import number, require
 from steerkit._support.random import normals, seed_state
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
+from steerkit.diagram.maths import Scalar
 from steerkit.plants.single_track import V_DYNAMIC, Car, NonlinearSingleTrack, SingleTrack, SingleTrackState
 
 _STREAM = 11  # of `seed_state`: the gusts'
@@ -31,15 +32,15 @@ class DisturbedPlant(Car):
 
     block: SingleTrack
     """The car."""
-    wind: m.Scalar = number(0.0, "m/s^2")
+    wind: Scalar = number(0.0, "m/s^2")
     """Lateral acceleration by steady wind [m/s^2], + = to the left."""
-    gust: m.Scalar = number(0.0, "m/s^2", low=0.0)
+    gust: Scalar = number(0.0, "m/s^2", low=0.0)
     """Standard deviation of that by gusts [m/s^2]."""
-    bank: m.Scalar = number(0.0, "m/s^2")
+    bank: Scalar = number(0.0, "m/s^2")
     """Lateral acceleration by the bank of the road [m/s^2]."""
     gust_time: float = number(1.0, "s", above=0.0)
     """Correlation time of the gusts [s]."""
-    arm: m.Scalar = number(0.3, "m")
+    arm: Scalar = number(0.3, "m")
     """How far ahead of the centre of gravity the wind acts [m]."""
     seed: int = 0
     """Seed of the gusts."""
@@ -75,5 +76,5 @@ class DisturbedPlant(Car):
         turn = p.m * wind * self.arm / p.i_z
         return car._replace(sway=car.sway + 0.5 * self.dt * sideways, r=car.r + 0.5 * self.dt * turn)
 
-    def _wind(self, x: State) -> m.Scalar:
+    def _wind(self, x: State) -> Scalar:
         return self.wind + self.gust * x[-GUST_STATES]

@@ -14,6 +14,7 @@ import numpy as np
 from steerkit._support.errors import require
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
+from steerkit.diagram.maths import Scalar
 from steerkit.plants.single_track import IntegratedCar
 
 try:
@@ -90,16 +91,14 @@ class FmuPlant(IntegratedCar):
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         h, motion = self.dt / self.substeps, tuple(x[:-2])
 
-        def rhs(states: Sequence[m.Scalar]) -> tuple[m.Scalar, ...]:
+        def rhs(states: Sequence[Scalar]) -> tuple[Scalar, ...]:
             return self._each(self._fmu.derivatives, t, states, u.delta_sw_cmd, u.v_cmd)
 
         for _ in range(self.substeps):
             motion = m.rk4(rhs, motion, h)
         return (*motion, u.v_cmd, u.delta_sw_cmd)
 
-    def _each(
-        self, function: Any, t: Any, x: Sequence[m.Scalar], delta_sw: m.Scalar, v: m.Scalar
-    ) -> tuple[m.Scalar, ...]:
+    def _each(self, function: Any, t: Any, x: Sequence[Scalar], delta_sw: Scalar, v: Scalar) -> tuple[Scalar, ...]:
         """`function` of one car, or of each car of a batch."""
         values = (t, *x, delta_sw, v)
         if any(map(m.is_symbol, values)):

@@ -197,8 +197,13 @@ class DegradedSensors(_Sensing):
 
     def scaled(self, size: float) -> Self:
         """The same with all errors but the age `size` times as large; `lost` too, up to a half."""
-        larger: Any = {"jump": size * self.jump, "heading_drift": size * self.heading_drift}
-        return replace(self, block=self.block.scaled(size), lost=min(0.5, size * self.lost), **larger)
+        return replace(
+            self,
+            block=self.block.scaled(size),
+            lost=min(0.5, size * self.lost),
+            jump=size * self.jump,
+            heading_drift=size * self.heading_drift,
+        )
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero = m.filled(0.0, batch)

@@ -17,7 +17,8 @@ V_KINEMATIC = 1.0
 """Up to this speed [m/s] a car rolls kinematically."""
 V_DYNAMIC = 3.0
 """From this speed [m/s] on, its model is exactly the dynamic one."""
-_TAU_KINEMATIC = 0.05  # Time constant [s] with which a slow car takes on kinematic rolling
+TAU_KINEMATIC = 0.05
+"""Time constant [s] with which a slow car takes on kinematic rolling."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -193,7 +194,7 @@ class LinearSingleTrack(SingleTrack):
         """
         w, a11, a12, a21, a22, b1, b2 = self._blended(v)
         p = self.vehicle
-        rolling = (1.0 - w) / _TAU_KINEMATIC
+        rolling = (1.0 - w) / TAU_KINEMATIC
         return ((a11, a12), (a21, a22)), (b1 + rolling * p.l_r / p.wheelbase, b2 + rolling * v / p.wheelbase)
 
     def _blended(self, v: Scalar) -> tuple[Scalar, ...]:
@@ -201,7 +202,7 @@ class LinearSingleTrack(SingleTrack):
         c0_m, c1_m, c1_i, c2_i, cf_m, lf_i = self._stiffness
         w = dynamic_share(v)
         w_v = w / m.maximum(v, V_KINEMATIC)
-        fade = (w - 1.0) / _TAU_KINEMATIC
+        fade = (w - 1.0) / TAU_KINEMATIC
         a12 = w_v * c1_m / m.maximum(v, V_KINEMATIC) - w
         return w, fade - w_v * c0_m, a12, w * c1_i, fade - w_v * c2_i, w_v * cf_m, w * lf_i
 
@@ -211,7 +212,7 @@ class LinearSingleTrack(SingleTrack):
         p = self.vehicle
         slope = m.tan(delta) / p.wheelbase
         beta = m.atan(p.l_r * slope)
-        rolling = (1.0 - w) / _TAU_KINEMATIC
+        rolling = (1.0 - w) / TAU_KINEMATIC
         return v, a11, a12, a21, a22, b1 * delta + rolling * beta, b2 * delta + rolling * v * m.cos(beta) * slope
 
     def motion(self, x: Sequence[Scalar], held: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
@@ -271,7 +272,7 @@ class NonlinearSingleTrack(SingleTrack):
         p = self.vehicle
         w = dynamic_share(v)
         r = m.tan(delta) / p.wheelbase * v
-        rolling = (1.0 - w) / _TAU_KINEMATIC
+        rolling = (1.0 - w) / TAU_KINEMATIC
         return (m.cos(delta), m.sin(delta), v, m.maximum(v, V_KINEMATIC), w, rolling, p.l_r * r, r, *self._constants)
 
     def motion(self, x: Sequence[Scalar], held: tuple[Scalar, ...]) -> tuple[Scalar, ...]:

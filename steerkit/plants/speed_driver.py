@@ -12,6 +12,7 @@ from steerkit._support.errors import number, require, require_within
 from steerkit._support.random import normals, seed_state
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
+from steerkit.diagram.maths import Array, Scalar, Table
 from steerkit.paths.path import Path
 from steerkit.task import A_Y_MAX
 
@@ -37,9 +38,9 @@ class SpeedDriver(Block):
 
     v = Out("m/s", direct=())
 
-    v_min: m.Scalar = number(4.0, "m/s", low=0.0, high=_FASTEST)
+    v_min: Scalar = number(4.0, "m/s", low=0.0, high=_FASTEST)
     """Slowest speed [m/s]."""
-    v_max: m.Scalar = number(7.5, "m/s", low=0.0, high=_FASTEST)
+    v_max: Scalar = number(7.5, "m/s", low=0.0, high=_FASTEST)
     """Fastest speed [m/s]."""
     wander_time: float = number(10.0, "s", above=0.0, high=1e4)
     """Correlation time of the intended speed [s]."""
@@ -86,7 +87,7 @@ class ConstantSpeed(Block):
 
     v = Out("m/s", direct=())
 
-    speed: m.Scalar = number(5.0, "m/s", low=0.0, high=_FASTEST)
+    speed: Scalar = number(5.0, "m/s", low=0.0, high=_FASTEST)
     """The speed [m/s]; an `(N,)` array for a batch of different drivers."""
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
@@ -100,10 +101,12 @@ class ConstantSpeed(Block):
 class _Profile(Block):
     """A speed looked up between evenly spaced samples; abstract. `v(p)` is linear between `speeds`."""
 
-    speeds: tuple[float, ...]  # Speeds [m/s] at p = 0, spacing, 2 spacing, ...; two at least
+    speeds: tuple[float, ...]
+    """Speeds [m/s] at p = 0, spacing, 2 spacing, ...; two at least."""
     spacing: float = number(unit="s or m", low=1e-6, high=1e6)
     """Distance between them, in the unit of what they are recorded over."""
-    repeat: bool = False  # After the last sample, go on with the first (which it should equal)? Otherwise hold the last
+    repeat: bool = False
+    """After the last sample, go on with the first (which it should equal)? Otherwise hold the last."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -125,10 +128,10 @@ class _Profile(Block):
         return cls(speeds=tuple(np.interp(even, p, v).tolist()), spacing=float(even[1] - even[0]), repeat=repeat)
 
     @cached_property
-    def _table(self) -> m.Table:
+    def _table(self) -> Table:
         return m.rising(self.speeds)
 
-    def _speed(self, p: m.Scalar) -> m.Scalar:
+    def _speed(self, p: Scalar) -> Scalar:
         """v at p; a NaN p gives NaN."""
         n, z = float(len(self._table)), p / self.spacing
         return m.between(self._table, z - n * m.floor(z / n) if self.repeat else m.clip(z, 0.0, n))
@@ -195,7 +198,7 @@ class CurveSpeedDriver(Block):
         require(self.dt == dt, "CurveSpeedDriver", f"dt = {self.dt} s, but its driver has {dt} s")
 
     @cached_property
-    def _ceiling(self) -> m.Table:
+    def _ceiling(self) -> Table:
         v = ceiling(self.path, self.a_y_max, self.a_x_max)
         return m.rising(np.append(v, v[0] if self.path.closed else v[-1]))
 
@@ -211,7 +214,7 @@ class CurveSpeedDriver(Block):
         return self.driver.update(t, x, (), ())
 
 
-def ceiling(path: Path, a_y_max: float, a_x_max: float, limit: m.Array | None = None) -> m.Array:
+def ceiling(path: Path, a_y_max: float, a_x_max: float, limit: Array | None = None) -> Array:
     """Fastest speed [m/s] about every metre of a path, (n,) at s = k length/n, as in `CurveSpeedDriver`.
 
     a_y_max, a_x_max [m/s^2]; limit: speed that is allowed there besides (n,) [m/s].
@@ -253,7 +256,7 @@ class Playback(Block):
     """Steering-wheel angles [rad] at t = 0, dt, 2 dt, ..."""
     speeds: tuple[float, ...]
     """Speeds [m/s] at the same times."""
-    delay: m.Scalar = number(0.0, "s", low=-10.0, high=10.0)
+    delay: Scalar = number(0.0, "s", low=-10.0, high=10.0)
     """How much later the angle acts [s]; below 0: earlier."""
     dt: float = number(0.01, "s", above=0.0, high=1.0)
 
@@ -265,12 +268,12 @@ class Playback(Block):
         require_within(where, "speeds", np.array(self.speeds), "m/s", 0.0, 100.0)
 
     @cached_property
-    def _table(self) -> m.Table:
+    def _table(self) -> Table:
         return m.rising(self.angles, self.speeds)
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         return self.Y(self._at(t - self.delay, 0), self._at(t, 1))
 
-    def _at(self, t: m.Scalar, column: int) -> m.Scalar:
+    def _at(self, t: Scalar, column: int) -> Scalar:
         """A column of the record at time t [s]."""
         return m.between(self._table, m.clip(t / self.dt + 1e-9, 0.0, float(len(self._table))), column)

@@ -131,8 +131,12 @@ class TorqueSteering(DelayedSteering):
     @classmethod
     def of(cls, vehicle: Vehicle, **settings: Any) -> "TorqueSteering":
         """For the geometry, tyres, ratio and stop of the car that the commands are meant for; settings: any fields."""
-        known: dict[str, Any] = dict(steer_ratio=vehicle.steer_ratio, wheelbase=vehicle.wheelbase)
-        known |= dict(understeer=vehicle.understeer_gradient, limit=vehicle.delta_sw_max)
+        known: dict[str, Any] = dict(
+            steer_ratio=vehicle.steer_ratio,
+            wheelbase=vehicle.wheelbase,
+            understeer=vehicle.understeer_gradient,
+            limit=vehicle.delta_sw_max,
+        )
         return cls(**(known | settings))
 
     def init(self, batch: tuple[int, ...] = ()) -> State:

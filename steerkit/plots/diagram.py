@@ -55,8 +55,9 @@ def _draw_box(axes: "Axes", box: "Box", colour: str, hollow: set[str]) -> None:
     tint = tuple(1.0 - 0.16 * (1.0 - channel) for channel in to_rgb(colour))
     corner, rounded = (box.x, box.y), "round,pad=0,rounding_size=0.35"
     for face, order in ((COLOURS["paper"], 4.0), ("none", 4.2)):
-        look: dict[str, Any] = {"boxstyle": rounded, "fc": face, "ec": colour, "lw": 1.2, "zorder": order}
-        shape = FancyBboxPatch(corner, box.width, box.height, **look)
+        shape = FancyBboxPatch(
+            corner, box.width, box.height, boxstyle=rounded, fc=face, ec=colour, lw=1.2, zorder=order
+        )
         axes.add_patch(shape)
     head = Rectangle(corner, box.width, HEAD - 0.25, fc=tint, lw=0, zorder=4.1)
     axes.add_patch(head)
@@ -76,8 +77,9 @@ def _draw_box(axes: "Axes", box: "Box", colour: str, hollow: set[str]) -> None:
     for name, y in box.outputs.items():
         axes.text(box.x + box.width - 0.5, box.y + y, box.labels[name], fontsize=8, color=ink, ha="right", **text)
     if not box.outputs:
-        at = box.x + box.width - 0.5, box.y + HEAD + 0.5
-        axes.text(*at, "logged only", fontsize=7, color=muted, ha="right", **text)
+        axes.text(
+            box.x + box.width - 0.5, box.y + HEAD + 0.5, "logged only", fontsize=7, color=muted, ha="right", **text
+        )
 
 
 HEAD = 2.3

@@ -122,8 +122,9 @@ def plot_course(path: "Path", *, title: str | None = None) -> "Figure":
     figure, (above, along) = new_figure(1, map_beside=True, height=4.2, title=repr(path) if title is None else title)
     line = path.samples
     bound = float(np.abs(line.kappa).max()) or 1.0
-    look: dict[str, Any] = {"cmap": "coolwarm_r", "vmin": -bound, "vmax": bound, "s": 9, "lw": 0, "zorder": 2}
-    dots = above.scatter(line.xy[:, 0], line.xy[:, 1], c=line.kappa, **look)
+    dots = above.scatter(
+        line.xy[:, 0], line.xy[:, 1], c=line.kappa, cmap="coolwarm_r", vmin=-bound, vmax=bound, s=9, lw=0, zorder=2
+    )
     above.plot(line.xy[:, 0], line.xy[:, 1], color=COLOURS["muted"], lw=0.6, zorder=1)
     start, heading = line.xy[0], line.psi[0]
     reach = 0.08 * float(np.ptp(line.xy, axis=0).max())

@@ -18,9 +18,11 @@ from steerkit.proving.manoeuvre import SIDES, Limit, Manoeuvre
 from steerkit.proving.runs import Run, checked, prepared
 from steerkit.vehicles import Vehicle
 
-_PLATEAU = 2.0  # Length of a stretch that counts as steady [s]
+PLATEAU = 2.0
+"""Length of a stretch that counts as steady [s]."""
 ANSWERS = (("yaw", "r"), ("a_y", "a_y"))
-_COHERENCE = 0.8  # From which on a frequency counts
+COHERENCE = 0.8
+"""From which on a frequency counts."""
 BEYOND = "not determined: no second-order answer within the frequencies of the input"
 UNTOLD = "not determined: its interval is wider than twice its value"
 WORDS = toml_of(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"), "words.toml")
@@ -188,7 +190,7 @@ def plateaus(run: Run, manoeuvre: Manoeuvre) -> list[tuple[float, ...]]:
     Of a run by the manoeuvre's own input those before each of its levels ends, a second after its beginning at least;
     of a whole drive those in which angle and yaw rate stay within a hundredth.
     """
-    n, found = round(_PLATEAU / run.dt), list[tuple[float, ...]]()
+    n, found = round(PLATEAU / run.dt), list[tuple[float, ...]]()
     names = ("delta_sw", "v", "r", "a_y", *(["beta"] if "beta" in run.signals else []))
     signals = np.array([run[name] for name in names])
     if not run.whole:
@@ -196,7 +198,7 @@ def plateaus(run: Run, manoeuvre: Manoeuvre) -> list[tuple[float, ...]]:
         lasts = np.cumsum(wanted.seconds or (wanted.rise + wanted.hold,) * max(1, len(wanted.levels)))
         for last in lasts:
             end = int(np.searchsorted(run.t, last - 1e-9))
-            for k in range(int((wanted.hold - 1.0) / _PLATEAU + 1e-9)):
+            for k in range(int((wanted.hold - 1.0) / PLATEAU + 1e-9)):
                 part = signals[:, max(end - (k + 1) * n, 0) : end - k * n]
                 found += [tuple(part.mean(axis=1).tolist())] if part.shape[1] == n else []
         return found
@@ -228,7 +230,7 @@ def _steady(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found:
         rows = np.vstack((rows, *(signs * [*row, math.nan][:5] for row in plateaus(run, manoeuvre))))
     if len(rows) < 4 or np.ptp(rows[:, 3]) < 0.5:
         span = float(np.ptp(rows[:, 3])) if len(rows) else 0.0
-        few = f"{len(rows)} steady stretches of {_PLATEAU:g} s over {span:.1f} m/s^2"
+        few = f"{len(rows)} steady stretches of {PLATEAU:g} s over {span:.1f} m/s^2"
         return Found([], [f"steady driving: {few}, expected 4 or more over 0.5 m/s^2"])
     wheel, v, r, a_y, beta = rows.T
     n, ratio, length = len(rows), float(vehicle.steer_ratio), float(vehicle.wheelbase)
@@ -476,10 +478,10 @@ def _frequency(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found
     if not m:
         return Found([], ["frequency response: no stretch is long enough for it"])
     response, coherence = found.response("r")
-    use = np.asarray(coherence >= _COHERENCE)
+    use = np.asarray(coherence >= COHERENCE)
     use &= m > 1 or manoeuvre.required.form != "random"  # of one segment it is 1, whatever it says
     if use.sum() < 8:
-        return Found([], [f"frequency response: {use.sum()} frequencies of coherence {_COHERENCE:g}, expected 8"])
+        return Found([], [f"frequency response: {use.sum()} frequencies of coherence {COHERENCE:g}, expected 8"])
     weight = np.abs(response[use]) * np.sqrt(found.wheel.mean(axis=0)[use])  # as of white noise in the yaw rate
     weight /= weight.mean()
     whole = second_order(found.f[use], response[use], weight)

@@ -212,7 +212,8 @@ _JUDGED = {
     False: ("failed", "bad", "not kept"),
     None: ("not judged", "open", "not judged"),
 }
-_MANY = 12  # More evaluations than these get a row each
+_MANY = 12
+"""More evaluations than these get a row each."""
 _SETTINGS = ("course", "repeats", "sides", "cutoff")
 
 
@@ -284,8 +285,11 @@ def _interval(result: Result) -> str:
 def _said(result: Result) -> str:
     """Value, interval, and in degrees."""
     interval = _interval(result)
-    said = "no interval" if interval == "none" else f"95 % interval {interval}"
-    more = (said, _beside(result.value, result.unit), result.note)
+    more = (
+        "no interval" if interval == "none" else f"95 % interval {interval}",
+        _beside(result.value, result.unit),
+        result.note,
+    )
     return f"{_with_unit(result.value, result.unit)} ({'; '.join(filter(None, more))})"
 
 

@@ -157,9 +157,15 @@ def found(manoeuvre: Manoeuvre, drive: Drive) -> tuple[Manoeuvre, list[Run], lis
         count[side] += 1
         part = slice(max(begin - settle, 0), end)
         gap = "" if drive.measured[part].all() else "samples are missing"
-        own = {key: value[part] for key, value in signals.items()}
-        t = drive.t[part] - drive.t[begin]
-        runs.append(Run(t=t, signals=own, side=side, number=count[side], invalid=gap))
+        runs.append(
+            Run(
+                t=drive.t[part] - drive.t[begin],
+                signals={key: value[part] for key, value in signals.items()},
+                side=side,
+                number=count[side],
+                invalid=gap,
+            )
+        )
     return driven, runs, notes
 
 
@@ -363,14 +369,16 @@ def _on_course(manoeuvre: Manoeuvre, cars: Sequence[FleetCar], lag: float) -> It
     for delay in sorted({round(car.steer_delay, 2) for car in cars}):
         group = [car for car in cars if round(car.steer_delay, 2) == delay]
         steering = {"delay": delay, "lag": lag}
-        names = [car.vehicle.name for car in group]
-        scenarios = [Scenario(vehicle={"name": name, "plant": "linear"}, steering=steering) for name in names]
+        scenarios = [
+            Scenario(vehicle={"name": car.vehicle.name, "plant": "linear"}, steering=steering) for car in group
+        ]
         loops, lengths = zip(*(on_course(manoeuvre, scenario, "stanley-delay") for scenario in scenarios))
         values = differing(loops)
         record = [*(f"car.{key}" for key in ("delta_sw", "v", "r", "a_y")), "path.e"]
         program = compile(loops[0], record=record, parameters=list(values))
-        seconds = lengths[0] / manoeuvre.conditions.v
-        log = program.run(seconds, parameters=values, batch=len(group), allow_nonfinite=True)
+        log = program.run(
+            lengths[0] / manoeuvre.conditions.v, parameters=values, batch=len(group), allow_nonfinite=True
+        )
         yield from ((car, [run_of(log, manoeuvre, "left", 1, 0.0, k)]) for k, car in enumerate(group))
 
 

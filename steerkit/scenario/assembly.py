@@ -60,12 +60,14 @@ def steering_loop(
     measured, m ahead of the centre of gravity (the front axle is l_f).
 
     The blocks are named driver, car, link, actuator, column, sensors, path, controller, doe, recovery, foresight,
-    supervisor, safety. `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks
-    the measured one; a controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its
-    own. A car with an output `applied` (a real one) reports the angle that it was commanded in the end; the doe is then
-    `Corrected` by it. A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its
-    tracker), x, y, psi, v, beta, r, a_y (sensors or car), delta_sw_meas (column, actuator or car), doe (the DOE's
-    state). Raises WiringError when a part is missing or an input has a name not listed here.
+    supervisor, safety.
+    `path` tracks the **true** reference point, for logs and metrics; with sensors, `seen` tracks the measured one; a
+    controller that wants e elsewhere (its field `reference`) or a preview gets a tracker of its own. A car with an
+    output `applied` (a real one) reports the angle that it was commanded in the end; the doe is then `Corrected` by it.
+    A controller's inputs are joined by name: e, e_dot, psi_e, kappa, r_e, s, progress, preview (its tracker), x, y,
+    psi, v, beta, r, a_y (sensors or car), delta_sw_meas (column, actuator or car), doe (the DOE's state).
+
+    Raises WiringError when a part is missing or an input has a name not listed here.
     """
     given = locals()
     for role, example in _EXAMPLES.items():
@@ -259,8 +261,10 @@ class _Bench:
                 self.wire(seen, name, block, name)
             else:
                 known = [*_names(tracker.outputs), *_names(seen.outputs), "delta_sw_meas", "doe"]
-                hint = f"known: {', '.join(known)}; wire the loop by hand for others"
-                raise WiringError(f"{type(block).__name__}.{name}: no signal of that name; {hint}")
+                raise WiringError(
+                    f"{type(block).__name__}.{name}: no signal of that name; known: {', '.join(known)}; "
+                    "wire the loop by hand for others"
+                )
 
 
 def _names(ports: Iterable[In | Out]) -> list[str]:

@@ -63,7 +63,8 @@ def assembled(
     )
 
 
-_STEADY = 0.05  # A wheel that is so near its command follows it [rad]
+_STEADY = 0.05
+"""A wheel that is so near its command follows it [rad]."""
 
 
 class SignCheck:
@@ -196,7 +197,8 @@ METRICS = {metric.name: metric for metric in TABLE if metric.group in ("tracking
 """The metrics that a sweep knows by name."""
 USUAL = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y")
 _SIGNALS = ("path.e", "path.psi_e", "car.delta_sw", "car.a_y")
-_SAMPLES = 1e6  # Samples of a batch: as many of each signal are in memory at once
+_SAMPLES = 1e6
+"""Samples of a batch: as many of each signal are in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -264,10 +266,11 @@ def sweep(
     values: `{"controller.k": [0.5, 1.0, 2.0], ...}`, fields as for `compile(parameters=...)`, of each the values (n,).
     metrics: names of `steerkit.metrics.TABLE`, for which the loop has the signal names of `steering_loop`; or functions
     of one car's log, which then holds the signals of `record` too. All drives draw the same random numbers. Logs have
-    20 samples a second. A metric is NaN where the car was lost. distance: what `path.progress` is when a drive is over
-    [m], if that is before `seconds`; for an open course. backend: as for `compile`. progress: show a bar on the
-    terminal. Raises ValueError for values refused or without effect, an unknown metric, a bad duration, and what
-    `compile` does.
+    20 samples a second. A metric is NaN where the car was lost.
+    distance: what `path.progress` is when a drive is over [m], if that is before `seconds`; for an open course.
+    backend: as for `compile`. progress: show a bar on the terminal.
+
+    Raises ValueError for values refused or without effect, an unknown metric, a bad duration, and what `compile` does.
     """
     require(values, "sweep", "no parameters; expected such as {'controller.k': [0.5, 1.0, 2.0]}")
     points = {name: np.atleast_1d(np.asarray(given, dtype=float)) for name, given in values.items()}
@@ -279,8 +282,9 @@ def sweep(
         require(single, "sweep", f"{name} = {present!r:.60}, expected the name of a field that holds one number")
     named = [known(metric, METRICS, "metric") for metric in metrics if isinstance(metric, str)]
     names = [metric if isinstance(metric, str) else getattr(metric, "__name__", repr(metric)) for metric in metrics]
-    distinct = len({*names, *points}) == len(names) + len(points)
-    require(names and distinct, "sweep", f"metrics {names}, expected other names")
+    require(
+        names and len({*names, *points}) == len(names) + len(points), "sweep", f"metrics {names}, expected other names"
+    )
     quick = {*named} <= {*Summary.__dataclass_fields__}
     signals = dict.fromkeys([*_SIGNALS * bool(named), *["path.progress"] * math.isfinite(distance), *record])
     grid = {name: a.ravel() for name, a in zip(points, np.meshgrid(*points.values(), indexing="ij"))}

@@ -13,6 +13,7 @@ from steerkit.controllers.lateral import DT, PREVIEW, STEER, ChallengeController
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
 from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import Table
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.metrics import lateral_cost
 from steerkit.paths.waypoints import read_columns
@@ -47,7 +48,7 @@ class LateralTarget(Block):
     a_y = Out("m/s^2", direct=(answer,))
     delta_sw = Out("rad", direct=(a_y_cmd,))
 
-    table: m.Table
+    table: Table
     """A row a sample: a_y, a_roll [m/s^2], v [m/s], a_x [m/s^2]."""
     vehicle: Vehicle = VW_PASSAT
     """The car of the data sheet by which commands are meant."""
@@ -70,7 +71,7 @@ class LateralTarget(Block):
             first = int(np.argmax(~((least <= values) & (values <= most))))  # that does not fit, if any
             require_within(f"{where}, at {first * DT:.1f} s", name, float(values[first]), unit, least, most)
         a_x = np.gradient(columns["v"], DT)
-        return cls(table=m.Table(np.column_stack((columns["a_y"], columns["a_roll"], columns["v"], a_x))))
+        return cls(table=Table(np.column_stack((columns["a_y"], columns["a_roll"], columns["v"], a_x))))
 
     @classmethod
     def drawn(cls, seed: int, *, seconds: float = 60.0) -> "LateralTarget":
@@ -112,8 +113,9 @@ class LateralTarget(Block):
         require(name.endswith(".csv"), where, "is not known; valid: drawn-7 (a seed), lap, FILE.csv")
         columns = read_columns(read_text(name, "target"), where)
         missing = {"a_y", "v"} - columns.keys()
-        lacks = f"no column {', '.join(sorted(missing))}; expected a_y, v, and if need be a_roll, t"
-        require(not missing, where, lacks)
+        require(
+            not missing, where, f"no column {', '.join(sorted(missing))}; expected a_y, v, and if need be a_roll, t"
+        )
         n = len(columns["a_y"])
         t = columns.get("t", DT * np.arange(n))
         require((np.diff(t) > 0.0).all(), where, "t [s] does not rise from row to row")

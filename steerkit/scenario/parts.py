@@ -46,8 +46,12 @@ def _word(*valid: str) -> Any:
     return field(default=valid[0], metadata={"valid": valid})
 
 
-_KINDS: Mapping[Any, str] = {str: "text", str | None: "text, or nothing", bool: "true or false"}
-_KINDS = {**_KINDS, bool | None: "true or false, or nothing"}
+_KINDS: Mapping[Any, str] = {
+    str: "text",
+    str | None: "text, or nothing",
+    bool: "true or false",
+    bool | None: "true or false, or nothing",
+}
 """What a field of that annotation holds, and how it is called in an error."""
 
 
@@ -317,13 +321,21 @@ class Steering(Part):
         """What happens to a command before the actuator; None for a perfect link. `seed` is that of its delays."""
         if (self.quantum_deg, self.dead_band_deg, self.delay_jitter) == (0.0, 0.0, 0.0):
             return None
-        quantum, dead_band = radians_of(self.quantum_deg), radians_of(self.dead_band_deg)
-        return SteeringLink(quantum=quantum, dead_band=dead_band, jitter=self.delay_jitter, seed=seed)
+        return SteeringLink(
+            quantum=radians_of(self.quantum_deg),
+            dead_band=radians_of(self.dead_band_deg),
+            jitter=self.delay_jitter,
+            seed=seed,
+        )
 
     def actuator(self, nominal: Vehicle) -> Block:
         """The motor at the steering wheel, or what steers by torque in its place."""
-        rate, offset = radians_of(self.rate_limit_deg), radians_of(self.offset_deg)
-        common: dict[str, Any] = dict(delay=self.delay, lag=self.lag, rate_limit=rate, offset=offset)
+        common: dict[str, Any] = dict(
+            delay=self.delay,
+            lag=self.lag,
+            rate_limit=radians_of(self.rate_limit_deg),
+            offset=radians_of(self.offset_deg),
+        )
         if self.command == "torque":
             return TorqueSteering.of(nominal, slew=self.slew, a_y_limit=self.a_y_limit, gain=self.gain, **common)
         return SteeringActuator(limit=nominal.delta_sw_max, **common)
@@ -332,8 +344,9 @@ class Steering(Part):
         """Friction and free play between motor and road wheels; None for a rigid column."""
         if (self.friction_deg, self.play_deg, self.wheel_zero_deg) == (0.0, 0.0, 0.0):
             return None
-        friction, play, zero = map(radians_of, (self.friction_deg, self.play_deg, self.wheel_zero_deg))
-        return SteeringColumn(friction=friction, play=play, zero=zero)
+        return SteeringColumn(
+            friction=radians_of(self.friction_deg), play=radians_of(self.play_deg), zero=radians_of(self.wheel_zero_deg)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -434,8 +447,9 @@ class Knowledge(Part):
     """The lag that they believe [s]; None: the true one."""
 
 
-_ALL = (Course, Car, Driver, Steering, Sensing, Disturbances, Knowledge)
-PARTS: Mapping[str, type[Part]] = {part.table: part for part in _ALL}
+PARTS: Mapping[str, type[Part]] = {
+    part.table: part for part in (Course, Car, Driver, Steering, Sensing, Disturbances, Knowledge)
+}
 """The parts of a scenario by the names of their tables."""
 
 

@@ -108,8 +108,9 @@ def require_vehicle(vehicle: object, where: str) -> None:
 def _commonroad(name: str, m: float, i_z: float, l_f: float, l_r: float) -> Vehicle:
     """A car of CommonRoad with c_f = mu C m g l_r/L, c_r = mu C m g l_f/L; mu C = 21.92, the tyre's p_ky1."""
     per_metre = 21.92 * m * G / (l_f + l_r)
-    tyres: Any = {"c_f": per_metre * l_r, "c_r": per_metre * l_f, "mu": 1.0489}
-    return Vehicle(name=name, m=m, i_z=i_z, l_f=l_f, l_r=l_r, steer_ratio=16.0, **tyres)
+    return Vehicle(
+        name=name, m=m, i_z=i_z, l_f=l_f, l_r=l_r, c_f=per_metre * l_r, c_r=per_metre * l_f, mu=1.0489, steer_ratio=16.0
+    )
 
 
 def scaled(name: str, m: float, wheelbase: float, steer_ratio: float = 15.6, mu: float = 0.9) -> Vehicle:
@@ -221,7 +222,8 @@ def tables_of(text: str, where: str) -> dict[str, Any]:
     return data
 
 
-_MU = 0.9  # Friction coefficient that every car of the fleet gets: assumed, dry asphalt
+MU = 0.9
+"""Friction coefficient that every car of the fleet gets: assumed, dry asphalt."""
 _STREAM = 21  # of `seed_state`: which car is drawn
 
 
@@ -266,7 +268,7 @@ def _car(row: dict[str, str]) -> FleetCar:
     name, interface = row.pop("name").lower().replace("_", "-"), row.pop("interface")
     numbers = {key: float(value) for key, value in row.items()}
     wheelbase, steer_delay, slowest = (numbers.pop(key) for key in ("wheelbase", "steer_delay", "slowest"))
-    vehicle = Vehicle(name=name, l_r=wheelbase - numbers["l_f"], mu=_MU, **numbers)
+    vehicle = Vehicle(name=name, l_r=wheelbase - numbers["l_f"], mu=MU, **numbers)
     return FleetCar(vehicle=vehicle, steer_delay=steer_delay, slowest=slowest, interface=interface)
 
 

@@ -278,8 +278,11 @@ class GateLimits:
         slopes = [(b[1] - a[1]) / (b[0] - a[0]) if b[0] > a[0] else math.inf for a, b in pairwise(self.rates)]
         falling = sorted(slopes) == slopes and all(slope <= 0.0 for slope in slopes)
         positive = all(0.0 < rate < math.inf for _, rate in self.rates)
-        expected = "expected speeds that grow and rates > 0 that fall ever more slowly"
-        require(falling and positive, "GateLimits", f"rates = {self.rates}, {expected}")
+        require(
+            falling and positive,
+            "GateLimits",
+            f"rates = {self.rates}, expected speeds that grow and rates > 0 that fall ever more slowly",
+        )
 
     def length(self, v: Scalar) -> Scalar:
         """See `turning_length` [m]."""

@@ -25,7 +25,8 @@ INSTALL = (
     "a production car is steered through the library opendbc, which is not installed: "
     "pip install 'steerkit-control[production]' (Python 3.11 or 3.12)"
 )
-_NOT_CARS = ("mock", "body")  # Makers in the library's list whose platforms are no cars
+NOT_CARS = ("mock", "body")
+"""Makers in the library's list whose platforms are no cars."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,7 @@ def _interfaces() -> Mapping[str, Any]:
 def listed() -> dict[str, Platform]:
     """All cars by name, in alphabetical order, those that are only looked at included; ValueError without opendbc."""
     every = [Platform(name, kind.get_non_essential_params(name)) for name, kind in sorted(_interfaces().items())]
-    return {found.name: found for found in every if found.maker not in _NOT_CARS}
+    return {found.name: found for found in every if found.maker not in NOT_CARS}
 
 
 def platform(name: str) -> Platform:
@@ -160,7 +161,8 @@ def platform(name: str) -> Platform:
     return found
 
 
-_CONTROL_HZ = 100.0  # Frames of a port's counter in a second
+CONTROL_HZ = 100.0
+"""Frames of a port's counter in a second."""
 SPEEDS = (10.0, 31.0)
 """Between which a production car is driven by a lane keeping system [m/s]."""
 WITHIN = 0.95
@@ -239,16 +241,21 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
     """The limits of a platform's port, for a car of these numbers."""
     controls = platform.controls
     step = float(getattr(controls, "STEER_STEP", 1))
-    frame = step / _CONTROL_HZ
+    frame = step / CONTROL_HZ
     if platform.steered_by == "torque":
         share = float(controls.STEER_DELTA_UP) / (1.0 if platform.maker == "honda" else platform.full * frame)
         lateral = platform.lateral
         most = lateral.gain * (1.0 - lateral.friction)
         slew = min(JERK_MAX, share * lateral.gain)
         late = 0.5 * lateral.gain * lateral.friction / slew
-        more: Any = {"slew": _KEPT * slew, "torque_limit": most, "late": late}
-        underneath = float(vehicle.understeer_gradient)
-        return PortLimits(a_y_max=min(A_Y_MAX, most), jerk_max=slew, understeer=underneath, **more)
+        return PortLimits(
+            a_y_max=min(A_Y_MAX, most),
+            jerk_max=slew,
+            understeer=float(vehicle.understeer_gradient),
+            slew=_KEPT * slew,
+            torque_limit=most,
+            late=late,
+        )
     angles: Any = controls.ANGLE_LIMITS
     if getattr(angles, "MAX_LATERAL_ACCEL", 0.0):
         return PortLimits(
@@ -261,8 +268,9 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
     if platform.steered_by == "angle":
         table = tuple(zip(map(float, speeds), map(float, np.radians(rates) / frame)))
         turning = _turning(table, vehicle)
-        most = radians_of(angles.STEER_ANGLE_MAX)
-        return PortLimits(delta_max=most, rate_max=table[0][1], rates=table, turning=turning)
+        return PortLimits(
+            delta_max=radians_of(angles.STEER_ANGLE_MAX), rate_max=table[0][1], rates=table, turning=turning
+        )
     length, ratio = vehicle.wheelbase, vehicle.steer_ratio
     table = tuple(zip(map(float, speeds), [float(ratio * length * rate / frame) for rate in rates]))
     return PortLimits(
@@ -308,8 +316,9 @@ def lines(those: Sequence[dict[str, Any]]) -> list[str]:
         if row["obstacle"]:
             text.append(f"{start} not steered: {row['obstacle']}")
             continue
-        able = f"{row['a_y']:4.1f} m/s^2 {row['jerk']:5.1f} m/s^3"
-        text.append(f"{start} {row['slowest']:4.1f} m/s {row['delay']:5.2f} s {able}")
+        text.append(
+            f"{start} {row['slowest']:4.1f} m/s {row['delay']:5.2f} s {row['a_y']:4.1f} m/s^2 {row['jerk']:5.1f} m/s^3"
+        )
     drives = sum(not row["obstacle"] for row in those)
     return [*text, f"{drives} of {len(those)} can be steered; a_y and its rate: at most, at {AT:g} m/s"]
 

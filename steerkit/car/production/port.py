@@ -26,16 +26,19 @@ WATCHDOG = 0.1
 """Age of a command from which the port no longer steers [s]."""
 SILENCE = 0.1
 """Without any frame of the car for so long, nothing is sent [s]."""
-_FROZEN = 0.15  # A moving car all of whose frames are the same for so long does not say how it moves [s]
+FROZEN = 0.15
+"""A moving car all of whose frames are the same for so long does not say how it moves [s]."""
 RELEASED = 0.1
 """After a frame that the safety code rejected, steering rests so long [s]: port and safety code begin anew from the
 wheel as it is."""
-_REJECTIONS = 3  # So many of them within a second are a fault
+REJECTIONS = 3
+"""So many of them within a second are a fault."""
 OTHER = 1.0
 """For so long after a frame that steers and that the port did not send, another computer steers too [s]."""
 REJECTED_BUS = 192
 """A panda gives a frame back with its bus and this added when its safety code has rejected it."""
-_SENT_BUS = 128  # And with this added when it was sent
+SENT_BUS = 128
+"""And with this added when it was sent."""
 GEARS = ("drive", "eco", "sport", "low", "brake", "manumatic")
 P_GAIN, I_GAIN = 0.3, 0.3
 """Of the torque: share of the missing lateral acceleration [1], and what it grows by in a second [1/s]."""
@@ -92,8 +95,11 @@ class Port:
         lateral = self.platform.lateral
         self._map = TorqueMap(gain=lateral.gain, friction=min(1.0, lateral.friction))
         self._fit, self._integral, self._a_y, self._turning = self._map.init(), 0.0, 0.0, 0.0
-        late = round((config.delay + config.lag) / STEP)
-        self._rubs, self._goal, self._goals = 0.0, math.nan, deque([math.nan], maxlen=1 + late)
+        self._rubs, self._goal, self._goals = (
+            0.0,
+            math.nan,
+            deque([math.nan], maxlen=1 + round((config.delay + config.lag) / STEP)),
+        )
         self._torques = deque([0.0], maxlen=1 + round((config.delay + config.lag) / STEP))
         self.steering = False
         """Did the last frames ask for steering?"""
@@ -110,7 +116,7 @@ class Port:
             self._rejected.append(t)
             self._released = t
             return
-        if frame.bus < _SENT_BUS:
+        if frame.bus < SENT_BUS:
             self._received, of = t, (frame.frame_id, frame.bus)
             if of in self._own:
                 self._other = t
@@ -139,7 +145,7 @@ class Port:
         if not silent:
             request = self._request(state, self.steering)
             _, frames_out = self.interface.apply(request.as_reader(), nanos)
-            sends = [Frame(a, bytes(d), b) for a, d, b in frames_out if b < _SENT_BUS]
+            sends = [Frame(a, bytes(d), b) for a, d, b in frames_out if b < SENT_BUS]
             self._own.update((frame.frame_id, frame.bus) for frame in sends if frame.frame_id in self._steers)
         reports = self._reports(t, state)
         now = self._k % 2 == 0 and self._received > -math.inf
@@ -147,12 +153,12 @@ class Port:
 
     def _flags(self, t: float, state: Any, *, silent: bool) -> dict[str, bool]:
         numbers = state.steeringAngleDeg + state.vEgoRaw
-        unheard = silent or (state.vEgoRaw > 1.0 and not t - self._changed < _FROZEN)
+        unheard = silent or (state.vEgoRaw > 1.0 and not t - self._changed < FROZEN)
         return {
             "CAN_INVALID": unheard or not state.canValid or state.canTimeout or not math.isfinite(numbers),
             "STEERING_FAULT": state.steerFaultTemporary or state.steerFaultPermanent,
             "SENSOR_FAULT": state.vehicleSensorsInvalid,
-            "FRAMES_REJECTED": len(self._rejected) >= _REJECTIONS,
+            "FRAMES_REJECTED": len(self._rejected) >= REJECTIONS,
             "CRUISE_OFF": not state.cruiseState.enabled,
             "NOT_IN_DRIVE": str(state.gearShifter) not in GEARS,
             "DOOR_OPEN": state.doorOpen,
@@ -245,8 +251,10 @@ class Port:
 
 LINES = ("panda", "python-can", "socket")
 """What a port may reach its car by: `[port] line`."""
-_HEAD = struct.Struct("<IBB")  # Of a frame in a socket: id, bus, length of the data
-_TOGETHER = 500  # Frames in a datagram, at most: whatever their length, they fit
+_HEAD = struct.Struct("<IBB")
+"""Of a frame in a socket: id, bus, length of the data."""
+_TOGETHER = 500
+"""Frames in a datagram, at most: whatever their length, they fit."""
 _KIND = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
 _BEAT = 0.3  # s between two heartbeats; a panda without one for seconds no longer lets steer
 
@@ -274,8 +282,10 @@ class PandaLine:
         try:
             from panda import Panda
         except ImportError as error:
-            lacks = "its library is not installed (github.com/commaai/panda); or give line = 'python-can'"
-            raise OSError(f"[port] line = 'panda': {lacks}") from error
+            raise OSError(
+                "[port] line = 'panda': its library is not installed (github.com/commaai/panda); "
+                "or give line = 'python-can'"
+            ) from error
         try:
             self._panda = Panda(serial or None)
             safety = platform.params.safetyConfigs[-1]
@@ -331,8 +341,9 @@ class CanLine(contextlib.ExitStack):
         can = python_can()
         for frame_id, data, number in frames:
             if number in self._buses:
-                kind = {"is_extended_id": frame_id >= 0x800, "is_fd": len(data) > 8}
-                message = can.Message(arbitration_id=frame_id, data=data, **kind)
+                message = can.Message(
+                    arbitration_id=frame_id, data=data, is_extended_id=frame_id >= 0x800, is_fd=len(data) > 8
+                )
                 try:
                     self._buses[number].send(message)
                 except Exception as error:

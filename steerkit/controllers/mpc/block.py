@@ -346,8 +346,9 @@ class NonlinearMPC(PredictiveSteering):
     def motion(self, plan: Any, x0: Any, v: Any, substeps: Any, kappa: Any, bends: Any, table: Any) -> Stages:
         n, soft = self.horizon, self.qp.soft
         each = [self.model.affine_step(count).mapaccum(f"driven{count}", n) for count in self.model.all_substeps]
-        roll = casadi.Function.conditional("driven", each, each[-1])
-        driven = roll(substeps, x0, plan.T, casadi.repmat(v, 1, n), kappa.T)
+        driven = casadi.Function.conditional("driven", each, each[-1])(
+            substeps, x0, plan.T, casadi.repmat(v, 1, n), kappa.T
+        )
         _, a, b, gap, row, offset = driven
         gap[:, 0] -= a[:, :NX] @ x0
         return a[:, NX:], b, gap, row[:, soft], offset[soft].T

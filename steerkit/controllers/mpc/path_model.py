@@ -14,6 +14,7 @@ from scipy.linalg import expm
 from steerkit._support.errors import require
 from steerkit.controllers.lqr import cost_to_go
 from steerkit.diagram import maths as m
+from steerkit.diagram.maths import Array
 from steerkit.estimators.vehicle_state import sway_is_speed
 
 NX = 6
@@ -173,7 +174,7 @@ class PathModel:
         which = casadi.MX([self.all_substeps.index(n) for n in self._substeps])
         return which[casadi.fmin(casadi.floor((_within(v) - V_LOW) / V_STEP), len(SPEEDS) - 2.0)]
 
-    def linear(self, v: float) -> tuple[m.Array, m.Array, m.Array]:
+    def linear(self, v: float) -> tuple[Array, Array, Array]:
         """A (6, 6), B (6,), and the row of a_y (6,), about straight driving at v: the exact answer to held commands.
 
         x(t + dt) = A x + B rate, where the command that acts from t on is already command(t) + dt*rate.
@@ -201,7 +202,7 @@ class PathModel:
         return casadi.reshape(a, NX, NX).T, b, row, casadi.reshape(p, NX, NX).T
 
     @cached_property
-    def _steady(self) -> m.Array:
+    def _steady(self) -> Array:
         """(speeds, curvatures from -0.25/m up, 7): steady cornering; see `cornering`."""
         w = casadi.SX.sym("w", 4)
         v, kappa = casadi.SX.sym("v"), casadi.SX.sym("k")
@@ -226,7 +227,7 @@ class PathModel:
 
 
 @lru_cache(maxsize=64)
-def _steady_cornering(newton: str, steer_ratio: float) -> m.Array:
+def _steady_cornering(newton: str, steer_ratio: float) -> Array:
     """Steady cornering at all tabled speeds and curvatures by Newton's method from straight, for `PathModel._steady`.
 
     newton: CasADi's text of the step (psi_e, sway, r, wheel), v, kappa -> the next four, |residual|, s'/v; the text,

@@ -16,7 +16,8 @@ FAR = 1e4
 """Stands for no bound: HPIPM needs 20 times longer with its own 1e8."""
 DATA = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 """The numbers of a programme by CasADi's names: min 1/2 z'Hz + g'z,  lba <= A z <= uba,  lbx <= z <= ubx."""
-_SOFT_FIRST, _SOFT_EVERY = 4, 4  # The soft limits hold at the first so many samples, and from there on at every so many
+_SOFT_FIRST, _SOFT_EVERY = 4, 4
+"""The soft limits hold at the first so many samples, and from there on at every so many."""
 _HPIPM = {"mode": "speed", "iter_max": 40, "mu0": 1e-4} | dict.fromkeys(
     ("res_g_max", "res_b_max", "res_d_max", "res_m_max"), 1e-7
 )

@@ -77,8 +77,11 @@ def random_course(seed: int, *, length: float = 500.0, max_kappa: float = 0.1, n
     Raises ValueError unless length*max_kappa >= 8: a circle already needs 2 pi.
     """
     where = f"random_course {seed}"
-    what = f"length {length} [m] * max_kappa {max_kappa} [1/m], expected length > 0 and a product >= 8"
-    require(length > 0.0 and 8.0 <= length * max_kappa < math.inf, where, what)
+    require(
+        math.isfinite(length * max_kappa) and length > 0.0 and length * max_kappa >= 8.0,
+        where,
+        f"length {length} [m] * max_kappa {max_kappa} [1/m], expected length > 0 and a product >= 8",
+    )
     rng = np.random.default_rng(seed)
     k = np.arange(2, 8)[:, None]
     weight, phase = rng.standard_normal(k.shape) / np.sqrt(k), rng.uniform(0.0, 2.0 * math.pi, k.shape)
@@ -120,9 +123,11 @@ def bends(plan: Sequence[Bend], *, spacing: float = 1.0, name: str = "bends") ->
     headings, pieces, psi = [], [], 0.0
     for k, (_, turn_deg, radius, ramp) in enumerate(plan):
         turn = radians_of(turn_deg)
-        most = abs(turn) * radius
-        what = f"bend {k}: ramp {ramp} [m], expected at most radius*turn = {most:.3g} m"
-        require(0.0 <= ramp <= most or turn == 0.0, where, what)
+        require(
+            0.0 <= ramp <= abs(turn) * radius or turn == 0.0,
+            where,
+            f"bend {k}: ramp {ramp} [m], expected at most radius*turn = {abs(turn) * radius:.3g} m",
+        )
         headings.append(psi)
         pieces.append(_bend(psi, turn, radius, ramp))
         psi += turn
@@ -156,9 +161,12 @@ def _bend(psi: float, turn: float, radius: float, ramp: float) -> NDArray[np.flo
     return cumulative_simpson(np.stack((np.cos(heading), np.sin(heading))), x=s, initial=0.0).T[::10]
 
 
-_STEEPEST = 10.0 / math.sqrt(3.0)  # Largest z'' of 10 z^3 - 15 z^4 + 6 z^5
-_RUN = 30.0  # Straight before and after a manoeuvre [m]
-_WIDTH = 1.82  # Width of the car that ISO 3888-2 asks for [m]: a VW Passat's
+_STEEPEST = 10.0 / math.sqrt(3.0)
+"""Largest z'' of 10 z^3 - 15 z^4 + 6 z^5."""
+_RUN = 30.0
+"""Straight before and after a manoeuvre [m]."""
+_WIDTH = 1.82
+"""Width of the car that ISO 3888-2 asks for [m]: a VW Passat's."""
 _ISO_3888 = {
     1: ((15.0, 30.0, 25.0, 25.0, 15.0 + 15.0), 3.5),
     2: ((12.0, 13.5, 11.0, 12.5, 12.0), 1.0 + 0.5 * (1.1 * _WIDTH + 0.25 + _WIDTH + 1.0)),
@@ -230,14 +238,16 @@ def names() -> tuple[str, ...]:
 def course(name: str) -> Path:
     """The built-in course called `name`, made once, since paths are immutable; or that of a file: see `read_course`.
 
-    * paper: closed, 795 m, like the course of the NFQ steering experiments (`paper`); * genesis: a recorded real lap,
-    3.7 km, bends down to 24 m, open: it ends 102 m short of its start; * genesis-rfs: a shorter drive, 477 m with one
-    right bend down to 18 m, open; * iso3888-1, iso3888-2: lane changes for 9 m/s and 3 m/s^2 (`lane_change`), open; *
-    calibration: a figure of eight, 100 m by 35 m, bends down to 17 m, for `steerkit car calibrate`; * highway: closed,
-    6 km, bends down to 400 m, for speeds of 12 to 30 m/s; * bends-250: closed, two straights of 300 m and two bends of
-    250 m, for lane keeping at 80 km/h; * circle, straight, figure-eight, slalom, curvature-step: the formulas with
-    their default sizes. Raises ValueError for another name, with the nearest one, and for a file of which no course can
-    be made.
+    * paper: closed, 795 m, like the course of the NFQ steering experiments (`paper`);
+    * genesis: a recorded real lap, 3.7 km, bends down to 24 m, open: it ends 102 m short of its start;
+    * genesis-rfs: a shorter drive, 477 m with one right bend down to 18 m, open;
+    * iso3888-1, iso3888-2: lane changes for 9 m/s and 3 m/s^2 (`lane_change`), open;
+    * calibration: a figure of eight, 100 m by 35 m, bends down to 17 m, for `steerkit car calibrate`;
+    * highway: closed, 6 km, bends down to 400 m, for speeds of 12 to 30 m/s;
+    * bends-250: closed, two straights of 300 m and two bends of 250 m, for lane keeping at 80 km/h;
+    * circle, straight, figure-eight, slalom, curvature-step: the formulas with their default sizes.
+
+    Raises ValueError for another name, with the nearest one, and for a file of which no course can be made.
     """
     if name not in _COURSES:
         from steerkit.paths.importers import KINDS, is_file, read_course  # a car's server does without
@@ -298,8 +308,9 @@ def kept(name: str, make: Callable[[], Path]) -> Path:
     file = native.directory() / f"course-{name}-{_state()}.npz"
     with contextlib.suppress(OSError, ValueError, KeyError):
         stored = read_npz(file, "course")
-        length, closed = float(stored["length"]), bool(stored["closed"])
-        return Path(table=Table(stored["table"]), length=length, closed=closed, name=name)
+        return Path(
+            table=Table(stored["table"]), length=float(stored["length"]), closed=bool(stored["closed"]), name=name
+        )
     path = make()
     if path.name == name and path.origin_deg is None:
         arrays = {"table": path.table.rows, "length": np.array(path.length), "closed": np.array(path.closed)}

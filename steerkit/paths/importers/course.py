@@ -19,11 +19,14 @@ TIGHTEST = 4.1
 """Tightest radius that is driven [m], unless a car is named: the shipped Passat's, its wheel at the stop."""
 SAME = 0.01
 """Neighbouring points closer than this are one [m]."""
-_DENSE = 1.0  # What was drawn with straights between its points gets one so often [m]
+DENSE = 1.0
+"""What was drawn with straights between its points gets one so often [m]."""
 SHORTEST, LONGEST = 10.0, 200_000.0
 """Least and greatest length of a course [m]."""
-_SPIKE = 0.3  # A point without which its neighbours turn by so much less [rad] may be a wrong one
-_SHARP = 2.0  # What was drawn turns by no more than this at one point [rad]; beyond, it turns back
+_SPIKE = 0.3
+"""A point without which its neighbours turn by so much less [rad] may be a wrong one."""
+SHARP = 2.0
+"""What was drawn turns by no more than this at one point [rad]; beyond, it turns back."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,7 +50,7 @@ class Line:
         limit = None if self.v_limit is None else self.v_limit[::-1]
         return Line(xy=self.xy[::-1], v_limit=limit)
 
-    def dense(self, step: float = _DENSE) -> "Line":
+    def dense(self, step: float = DENSE) -> "Line":
         """With points between the points, so that none is more than `step` [m] from the next."""
         steps, s = distances(self.xy), travelled(self.xy)
         counts = np.ceil(steps / step).astype(int)
@@ -146,8 +149,10 @@ def laid(
         fine = curve(np.linspace(0.0, end, count + 1)[: -1 if closed else None])
         beside = np.hypot(*(line.xy - curve(u[: len(line.xy)])).T)
         most, at = float(beside.max()), "({:.1f}, {:.1f})".format(*line.xy[beside.argmax()])
-        beside_it = f"the points lie {shown:.2g} m beside the curve (RMS), {most:.2g} m at most, at {at} [m]"
-        remarks.append(f"smoothed by noise = {noise:g} m: {beside_it}")
+        remarks.append(
+            f"smoothed by noise = {noise:g} m: the points lie {shown:.2g} m beside the curve (RMS), "
+            f"{most:.2g} m at most, at {at} [m]"
+        )
     else:
         fine, u = line.xy, travelled(line.xy)
         end = float(u[-1]) + (math.dist(line.xy[0], line.xy[-1]) if closed else 0.0)
@@ -167,8 +172,9 @@ def distinct(line: Line, name: str) -> Line:
     """Without points that repeat the one before; raises ValueError for numbers that are none, and for less than two."""
     bad = np.flatnonzero(~(np.isfinite(line.xy).all(axis=1) & (np.abs(line.xy) < 1e8).all(axis=1)))
     if bad.size:
-        at = f"point {bad[0]} is at {tuple(line.xy[bad[0]].tolist())} [m]"
-        raise ValueError(f"{name}: {at}, expected numbers below 1e8")
+        raise ValueError(
+            f"{name}: point {bad[0]} is at {tuple(line.xy[bad[0]].tolist())} [m], expected numbers below 1e8"
+        )
     kept, last = np.ones(len(line.xy), dtype=bool), line.xy[:1]
     steps = distances(line.xy)
     if (steps < SAME).any():
@@ -184,7 +190,7 @@ def check_turns(xy: Array, name: str) -> None:
     steps = np.diff(xy, axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
     turn = np.abs((np.diff(heading) + math.pi) % (2.0 * math.pi) - math.pi)
-    if turn.max(initial=0.0) > _SHARP:
+    if turn.max(initial=0.0) > SHARP:
         x, y = xy[int(turn.argmax()) + 1]
         what = f"turns by {turn.max():.1f} rad at one point, ({x:.1f}, {y:.1f}) [m]: a kink that no car drives"
         raise ValueError(f"{name}: {what}; choose a part without it, or a route along lanes")
@@ -249,8 +255,10 @@ def along(path: Path, s: Array, values: Array | None) -> Array | None:
 
 
 _DEGREE = 5
-_SPAN = (0.5, 2.5)  # Distance of the spline's knots [m]: the points', within these, and not below four times the noise
-_MOST = 40_000  # Knots at most; they lie further apart along a course that is longer
+_SPAN = (0.5, 2.5)
+"""Distance of the spline's knots [m]: the points', within these, and not below four times the noise."""
+_MOST = 40_000
+"""Knots at most; they lie further apart along a course that is longer."""
 _STIFFEST, _SOFTEST = 1e11, 1e-9
 """Largest and least weight of the penalty, over the points': beyond, rounding would be seen."""
 

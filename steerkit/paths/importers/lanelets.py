@@ -25,7 +25,8 @@ _WAYS = re.compile(
     "unclassified|residential|living_street|service|road|track|raceway|busway"
 )
 """`highway` of ways for cars."""
-_WIDEST = 20.0  # A lanelet is no wider [m]
+_WIDEST = 20.0
+"""A lanelet is no wider [m]."""
 
 
 def commonroad(file: str) -> Map:
@@ -137,8 +138,10 @@ class _Osm:
             elif record.tag == "way":
                 self.ways[get(record, "id")] = array("q", [_id(node, "ref") for node in record.findall("nd")]), tags
             elif tags.get("type") == "lanelet":
-                members = [(m.get("role"), m) for m in record.findall("member")]
-                left, right = ([get(m, "ref") for role, m in members if role == side] for side in ("left", "right"))
+                left, right = (
+                    [get(m, "ref") for m in record.findall("member") if m.get("role") == side]
+                    for side in ("left", "right")
+                )
                 self.lanelets[get(record, "id")] = left, right, tags
         require(self.ids, file, "holds no nodes")
         self.order = np.argsort(self.ids, kind="stable")
@@ -182,8 +185,9 @@ def osm(file: str) -> Map:
     faulty: dict[str, str] = {}
     pieces = _lanelets(data, faulty) if data.lanelets else _ways(data, faulty)
     kind, noise = ("lanelet", 0.1) if data.lanelets else ("way", 1.0)
-    sought = "lanelets to drive on" if data.lanelets else "lanelets or ways for cars (tag highway)"
-    require_some(pieces, faulty, file, sought)
+    require_some(
+        pieces, faulty, file, "lanelets to drive on" if data.lanelets else "lanelets or ways for cars (tag highway)"
+    )
     return Map(kind=kind, pieces=pieces, noise=noise, drawn=True, origin_deg=data.origin, faulty=faulty)
 
 
@@ -251,8 +255,11 @@ def _beside(line: Array, points: Array) -> float:
 
 def _ways(data: _Osm, faulty: dict[str, str]) -> dict[str, Piece]:
     """Ways cut where they meet, forwards and, but for one-way streets, backwards."""
-    drivable = [name for name, (_, tags) in data.ways.items() if _WAYS.fullmatch(tags.get("highway", ""))]
-    cars = {name: (data.ways[name][0].tolist(), data.ways[name][1]) for name in drivable}
+    cars = {
+        name: (nodes.tolist(), tags)
+        for name, (nodes, tags) in data.ways.items()
+        if _WAYS.fullmatch(tags.get("highway", ""))
+    }
     uses = Counter(node for nodes, _ in cars.values() for node in nodes)
     begins: dict[int, list[str]] = {}
     made: dict[str, tuple[str, list[int], dict[str, str]]] = {}

@@ -25,10 +25,13 @@ _TORN, _BENT = 0.2, 0.1
 _DRIVABLE = re.compile(
     "driving|entry|exit|onRamp|offRamp|connectingRamp|slipLane|bidirectional|bus|taxi|HOV|mwyEntry|mwyExit|special[123]"
 )
-_TOLD_LINKS = 3  # Links that a map lacks are told one by one up to so many
+_TOLD_LINKS = 3
+"""Links that a map lacks are told one by one up to so many."""
 _UNITS = {"": 1.0, "m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
-_WIDEST = 15.0  # A lane is no wider [m]
-_MOST_TURN = 200.0  # A spiral turns by no more than this [rad]
+_WIDEST = 15.0
+"""A lane is no wider [m]."""
+_MOST_TURN = 200.0
+"""A spiral turns by no more than this [rad]."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 Steps = list[tuple[float, Any]]
@@ -93,8 +96,10 @@ class Road:
         x, y, heading = self.reference(s)
         own = _stepped(lane.limits, inside - section.s, math.nan)
         limit = np.where(np.isnan(own), _stepped(self.limits, inside, math.nan), own)
-        xy = np.column_stack((x - t * np.sin(heading), y + t * np.cos(heading)))
-        line = Line(xy=xy, v_limit=limit if np.isfinite(limit).any() else None)
+        line = Line(
+            xy=np.column_stack((x - t * np.sin(heading), y + t * np.cos(heading))),
+            v_limit=limit if np.isfinite(limit).any() else None,
+        )
         return line if self.forward(lane) else line.backwards()
 
     def offset(self, section: Section, wanted: int, s: Array) -> Array:
@@ -176,8 +181,9 @@ def _linked(road: Road) -> list[str]:
             drivable = number_ and on and _DRIVABLE.fullmatch(lane.kind) and _DRIVABLE.fullmatch(on.kind)
             if on and drivable and not lane.links["successor"] and not on.links["predecessor"]:
                 lane.links["successor"], on.links["predecessor"] = [number_], [number_]
-                gap = f"no link at s = {after.s:.1f} m; it is taken as going on"
-                notes.append(f"road {road.name}, lane {number_}: {gap}")
+                notes.append(
+                    f"road {road.name}, lane {number_}: no link at s = {after.s:.1f} m; it is taken as going on"
+                )
     return notes
 
 
@@ -421,7 +427,14 @@ def poly3(length: float, v: Array, d: Array) -> tuple[Array, Array, Array]:
     from scipy.integrate import solve_ivp
 
     slope = polyder(v)
-    rate = lambda _, u: 1.0 / np.hypot(1.0, polyval(u, slope))  # noqa: E731
-    way = solve_ivp(rate, (0.0, length), [0.0], "DOP853", dense_output=True, rtol=1e-13, atol=1e-13)
+    way = solve_ivp(
+        lambda _, u: 1.0 / np.hypot(1.0, polyval(u, slope)),
+        (0.0, length),
+        [0.0],
+        "DOP853",
+        dense_output=True,
+        rtol=1e-13,
+        atol=1e-13,
+    )
     (u,) = way.sol(d)
     return u, polyval(u, v), np.arctan(polyval(u, slope))

@@ -119,8 +119,9 @@ def tcx(file: str) -> list[Track]:
             tracks[-1].call(node.text or "", tracks)
         elif tracks and (at := node.find("Position")) is not None:
             place = [*at.iterfind("LatitudeDegrees"), *at.iterfind("LongitudeDegrees")]
-            found, speed = functools.partial(map, value, place), next(node.iter("Speed"), None)
-            tracks[-1].read(shown(node), found, node.findtext("Time"), speed)
+            tracks[-1].read(
+                shown(node), functools.partial(map, value, place), node.findtext("Time"), next(node.iter("Speed"), None)
+            )
     return _some(tracks)
 
 
@@ -256,12 +257,15 @@ def csv(file: str) -> list[Track]:
     return [track]
 
 
-_STOOD = 5.0  # A car that moves less than the noise allows within this time stands [s]
+_STOOD = 5.0
+"""A car that moves less than the noise allows within this time stands [s]."""
 _LOST = 5.0
 """A receiver that says nothing for this long has lost the way [s], if the car has moved by `_MOVED` meanwhile [m]."""
 _MOVED = 30.0
-_FIT = 9.0  # The speed is the slope of the distance over this time [s]
-_LEAST_ROUND = 60.0  # A round is this long at least [m]
+_FIT = 9.0
+"""The speed is the slope of the distance over this time [s]."""
+_LEAST_ROUND = 60.0
+"""A round is this long at least [m]."""
 
 
 EVER = (-math.inf, math.inf)
