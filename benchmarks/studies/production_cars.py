@@ -379,10 +379,10 @@ def attacked(
         follow.choose(run)
 
     drive = Drive(world, follow.resting, each)
-    while len(drive.e) < round((waits + steers) / DT) and not drive.ended:
+    while len(drive.e) < round((waits + steers) / DT) and not drive.ended and world.t < waits + steers + 10.0:
         drive.step()
-    e = np.abs(drive.e[round(waits / DT) :])
-    return {"port": name, "attack": kind, "ratio": ratio, "max_e": float(e.max()), "ended": drive.ended}
+    e = [abs(value) for value in drive.e[round(waits / DT) :]]  # none: it was not driven until then
+    return {"port": name, "attack": kind, "ratio": ratio, "max_e": max(e, default=math.inf), "ended": drive.ended}
 
 
 def faulty(piece: tuple[str, str, int], *, before: float = 4.0, after: float = PAUSES) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from steerkit.diagram.realtime import Run, run
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
 from steerkit.learning.learner_state import LearnerState, state_signals, untrained
-from steerkit.learning.nfq.iterate import NOTHING, Learned
+from steerkit.learning.nfq.iterate import NOTHING_LEARNED, Learned
 from steerkit.learning.rundir import held, is_free
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import Trainer
@@ -97,7 +97,9 @@ class CarLearner(contextlib.ExitStack):
         policy = NfqPolicy.load(saved[-1]) if saved else untrained(setting, seed)
         if not saved:
             policy.save(rundir.net_file(place, 0))
-        self.trainer = trainer or Trainer(learned=Learned(policy.nets or (), policy.forecast) if net else NOTHING)
+        self.trainer = trainer or Trainer(
+            learned=Learned(policy.nets or (), policy.forecast) if net else NOTHING_LEARNED
+        )
         self.callback(self.trainer.close)
         self.learner_state = LearnerState(
             setting=setting,

@@ -113,6 +113,11 @@ class SteeringAnswer:
     slew: float = UNLIMITED
     """Largest change in a sample, times v^2 [rad m^2/s^2]."""
 
+    @property
+    def feels(self) -> bool:
+        """Does the car feel another angle than the wheel's?"""
+        return self.lead != 0.0 or self.slew < UNLIMITED
+
 
 @dataclass(frozen=True, kw_only=True)
 class DelayCompensator(SteeringAnswer):

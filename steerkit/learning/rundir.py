@@ -30,7 +30,7 @@ from steerkit.learning import costs
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learner_state import Before, Counts, Episode, Recovery
-from steerkit.learning.nfq.iterate import NOTHING, FitSetting, Learned
+from steerkit.learning.nfq.iterate import NOTHING_LEARNED, FitSetting, Learned
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario import Scenario, of_table
@@ -238,7 +238,7 @@ def _load(place: FilePath, data: dict[str, Any]) -> LearningRun:
     learner_state.policy = NfqPolicy.load(_existing(steering_file(place, number)))
     learner_state.trusted = data["trusted"]
     run.steer()
-    learned, updates = NOTHING, learner_state.counts.updates
+    learned, updates = NOTHING_LEARNED, learner_state.counts.updates
     if updates:
         newest = NfqPolicy.load(_existing(net_file(place, updates)))
         learned = Learned(newest.nets or (), newest.forecast)

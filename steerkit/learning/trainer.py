@@ -20,7 +20,7 @@ from typing import NamedTuple, Self
 from steerkit._support.errors import require, require_within
 from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.iterate import NOTHING, Learned, Nets, Problem, update
+from steerkit.learning.nfq.iterate import NOTHING_LEARNED, Learned, Nets, Problem, update
 
 Pending = tuple[float, int, Learned]
 """Driving time at which an unfinished job is done [s], its number, what it gives the policy."""
@@ -72,7 +72,7 @@ class SimulatedTrainer:
     `submit`.
     """
 
-    def __init__(self, *, seconds: float = 1.0, learned: Learned = NOTHING, pending: Pending | None = None):
+    def __init__(self, *, seconds: float = 1.0, learned: Learned = NOTHING_LEARNED, pending: Pending | None = None):
         require_within("SimulatedTrainer", "seconds", seconds, "s", 0.0, 1e9)
         self.seconds, self.learned = seconds, pending[2] if pending else learned
         self.pending = pending
@@ -118,7 +118,7 @@ class Trainer:
     Close it, or use it in a `with`; the process ends with its parent too.
     """
 
-    def __init__(self, *, learned: Learned = NOTHING):
+    def __init__(self, *, learned: Learned = NOTHING_LEARNED):
         self.faults: list[str] = []
         """All that went wrong so far."""
         self._learned, self._jobs = learned, deque[Job]()

@@ -105,14 +105,14 @@ _DOUBT = Doubt(gain=1.35, delay=0.1)
 of it (`benchmarks.plants.torque_car`), and what is found of it lies in between."""
 _DAMPED = 0.02
 """Least damping ratio at the corners of that doubt [1]."""
-_YAW_DOUBT_LEAST = 0.003
-"""See `SafetyFilter.yaw_doubt_least` [rad/s]."""
 _HELD_AT = (5.0, 10.0, 20.0, 30.0)
 """Speeds at which it has to be damped [m/s]."""
 _V_FULL = (None, 20.0, 14.0, 10.0, 7.0, 5.0, 3.5, 2.5)
 """Stanley from fast to slow: see `Stanley.v_full` [m/s]."""
 _STEPS_OF_SLEW = (1.2, 0.6, 0.3, 0.15, 0.075, 0.0375)
 """LQR from fast to slow: see `Lqr.of`."""
+_YAW_DOUBT_LEAST = 0.003
+"""See `SafetyFilter.yaw_doubt_least` [rad/s]."""
 
 
 def _soft(design_model: DesignModel) -> Block:

@@ -391,12 +391,12 @@ def overshooting(
     both = [one | dict(slew=slew) for slew in (UNLIMITED, *SLEWS) for one in overshoots]
     for changes in (both, [dict(fade=fade) for fade in FADES]):
         cars = [found | change for change in changes]
-        found = cars[int(_left_by(cars, newest, row - first).argmin())]
-    kept = before is not None and (before.lead != 0.0 or before.slew < UNLIMITED)
+        left = _left_by(cars, newest, row - first)
+        found = cars[int(left.argmin())]
+    kept = before is not None and before.feels
     if kept:
         shape = {name: float(getattr(before, name)) for name in FELT}
-        now, then = _left_by([found, shape], newest, row - first)
-        found = found if now < BETTER * then else shape
+        found = found if left.min() < BETTER * _left_by([shape], newest, row - first)[0] else shape
     if found["lead"] == 0.0 and found["slew"] == UNLIMITED:
         return model
     other = replace(model, **found)

@@ -388,7 +388,7 @@ class Learned(NamedTuple):
     """Of a setting with `dead_time`."""
 
 
-NOTHING = Learned()
+NOTHING_LEARNED = Learned()
 """Before the first update."""
 
 

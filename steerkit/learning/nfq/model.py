@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit._support.errors import require
-from steerkit.controllers.delay_compensator import LENGTH, SLOWEST, UNLIMITED, CourseMotion, SteeringAnswer, felt, moved
+from steerkit.controllers.delay_compensator import LENGTH, SLOWEST, CourseMotion, SteeringAnswer, felt, moved
 from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, StateDescription, V
 from steerkit.diagram.maths import Array
 from steerkit.learning.data.transitions import Transitions
@@ -124,11 +124,6 @@ class CarModel(SteeringAnswer):
         if now + before + earlier > 1e-6:
             straight = float(np.clip(-constant / (now + before + earlier), -OFF_CENTRE, OFF_CENTRE))
         return cls(held=held, pushed=pushed, limit=limit, straight=straight, **answer)
-
-    @property
-    def feels(self) -> bool:
-        """Does it feel another angle than the wheel's?"""
-        return self.lead != 0.0 or self.slew < UNLIMITED
 
     def felt(self, record: Transitions) -> Felt | None:
         """The angles that it felt in recorded states; None: the wheel's."""
