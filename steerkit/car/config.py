@@ -125,21 +125,6 @@ class CarConfig:
         values = asdict(self.gate) | asdict(self.states) | asdict(self.motion)
         return {key: values[f.name] for key, f in LIMITS.items()}
 
-    def facts(self) -> dict[str, Any]:
-        """What a program may want to know: what is read and written, and every limit [SI]."""
-        quantities = {
-            name: {"unit": DIMENSION.get(name, "1"), "signal": m.signal, "gain": m.gain, "offset": m.offset}
-            for name, m in self.quantities.items()
-        }
-        return {
-            "file": self.file,
-            "vehicle": self.vehicle.name,
-            "listen_only": self.listen_only,
-            "read": quantities,
-            "write": {"message": self.writer.message.name, "signal": self.writer.angle.signal},
-            "limits": {LIMITS[key].name: value for key, value in self.limits.items()},
-        }
-
     def summary(self) -> list[str]:
         """What will be read and written, one line each."""
         w, never = self.writer, " NEVER: listen only" if self.listen_only else ""

@@ -8,9 +8,7 @@ missing. A place that does not fit its sum is left out up to the next that does.
 
 import contextlib
 import errno
-import fcntl
 import json
-import logging
 import math
 import os
 import platform
@@ -34,7 +32,6 @@ from steerkit.car.core import Core, End, Event, Frame, Link, Note, Output, Packe
 from steerkit.car.state_machine import Mode
 from steerkit.paths.path import Path
 
-_log = logging.getLogger("steerkit.car")
 EVENTS: dict[str, type[Event]] = {
     "/can/rx": Frame,
     "/client": Packet,
@@ -76,7 +73,7 @@ class Message(NamedTuple):
 
 
 class RecordingFile:
-    """A new file to write messages to; who reads it knows as long as it is open.
+    """A new file to write messages to.
 
     description: texts about what is in it. begin: since 1970 [ns]. Raises FileExistsError, and OSError from everything.
     """
@@ -85,10 +82,6 @@ class RecordingFile:
         from mcap.writer import CompressionType, IndexType, Writer
 
         self._stream = File(file).open("xb")  # noqa: SIM115
-        try:
-            fcntl.flock(self._stream, fcntl.LOCK_EX)  # a reader that looks whether it is in use is gone at once
-        except OSError as error:
-            _log.warning("%s cannot be locked, so a reader cannot know that it is being written: %s", file, error)
         self._writer = Writer(
             self._stream, chunk_size=CHUNK, compression=CompressionType.NONE, index_types=IndexType.CHUNK
         )
@@ -314,13 +307,6 @@ class Recorded(NamedTuple):
     gaps: list[Gap]
     size: int
     """Bytes of the file."""
-    in_use: bool
-    """Was it still being written? Then its end is not missing, but yet to come."""
-
-    @property
-    def sound(self) -> bool:
-        """Was the file closed properly, and does all that is read fit its sums?"""
-        return not self.in_use and not any(gap.end > gap.begin or gap.before is None for gap in self.gaps)
 
     @property
     def lost(self) -> list[str]:
@@ -329,8 +315,8 @@ class Recorded(NamedTuple):
 
     @property
     def whole(self) -> bool:
-        """Is it sound, and nothing missing?"""
-        return self.sound and not self.lost
+        """Was the file closed properly, does all that is read fit its sums, and is nothing missing?"""
+        return not (self.lost or any(gap.end > gap.begin or gap.before is None for gap in self.gaps))
 
     def kept(self) -> str:
         """How much of how much is there."""
@@ -358,30 +344,17 @@ class Recorded(NamedTuple):
 
 
 def read(file: str | os.PathLike[str]) -> Recorded:
-    """All that is intact in a recording, also behind a damaged place, and one that is still being written.
+    """All that is intact in a recording, also behind a damaged place, and so far of one that is still being written.
 
     Raises ValueError for a file of another kind, one that was cut off before it began, and one of an older protocol.
     """
-    used = _in_use(File(file))  # before its bytes are read, as it may be closed in between
     try:
-        return parse(files.read_bytes(file), used)
+        return parse(files.read_bytes(file))
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
 
 
-def _in_use(file: File) -> bool:
-    """Is somebody writing that file?"""
-    with files.opened(file) as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        except OSError:  # a file system without locks: its writer has said so
-            return False
-    return False
-
-
-def parse(data: bytes, used: bool = False) -> Recorded:
+def parse(data: bytes) -> Recorded:
     """`read` of a file that holds these bytes. Time is proportional to their number, plus a chunk a damaged place."""
     metadata, messages, gaps = dict[str, str](), list[Message](), list[Gap]()
     intact, known, after, finished = len(_BEGIN) if data.startswith(_BEGIN) else 0, COPIES, None, False
@@ -396,9 +369,9 @@ def parse(data: bytes, used: bool = False) -> Recorded:
         elif lines:
             messages += lines
             known, after = lines[-1].number + 1, lines[-1].values["t"]
-    if not finished and not used:
+    if not finished:
         gaps.append(Gap(intact, len(data), after, None, None))
-    elif finished and not _index_fits(data[intact:]):
+    elif not _index_fits(data[intact:]):
         gaps.append(Gap(intact, len(data), after, None, 0))
     if not metadata and not messages:
         if data.startswith(_MAGIC) and not _BEGIN.startswith(data[: len(_BEGIN)]):
@@ -409,7 +382,7 @@ def parse(data: bytes, used: bool = False) -> Recorded:
         maker = metadata.get("steerkit-control", "of an unknown version")
         hint = f"replay it with the steerkit that made it, {maker}"
         raise ValueError(f"a recording of protocol {then}, this is {wanted}; {hint}")
-    return Recorded(metadata, messages, gaps, len(data), used)
+    return Recorded(metadata, messages, gaps, len(data))
 
 
 def _pieces(data: bytes) -> Iterator[tuple[int, int, list[Message]]]:

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 import sys
 from pathlib import Path as FilePath
 from typing import Annotated
@@ -36,27 +35,16 @@ Socket = Annotated[str, typer.Option(help="Unix socket of the car server.")]
 
 
 @app.command()
-def check(
-    config: Annotated[str, typer.Argument(help="TOML file, or a shipped one.")] = "dbw-kit.toml",
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, in SI units.")] = False,
-) -> None:
+def check(config: Annotated[str, typer.Argument(help="TOML file, or a shipped one.")] = "dbw-kit.toml") -> None:
     """Check a configuration and print what would be read and written, and every limit."""
     car, path = loaded(config)
     unlearned, bend = witness(car), float(abs(path.samples.kappa).max())
-    astray = {
-        f"{v:g} m/s, {where}": unlearned.astray(v, min(kappa, 2.0 / v**2))
-        for v in sorted({2.0, 5.0, car.states.v_engage_max})
-        for where, kappa in (("straight", 0.0), ("bend", bend))
-    }
-    if as_json:
-        facts = {**car.facts(), "course": path.name, "length": path.length, "closed": path.closed}
-        print(json.dumps({**facts, "astray": {v: t if math.isfinite(t) else None for v, t in astray.items()}}))
-        return
     print("\n".join(car.summary()))
     print(f"path     {path.name}, {path.length:.0f} m, {'closed' if path.closed else 'open'}")
     print("witness  before it has learned the car; on the panel as it is then")
-    for where, t in astray.items():
-        print(f"           {where}: {witness_line(t)}")
+    for v in sorted({2.0, 5.0, car.states.v_engage_max}):
+        for where, kappa in (("straight", 0.0), ("bend", bend)):
+            print(f"           {v:g} m/s, {where}: {witness_line(unlearned.astray(v, min(kappa, 2.0 / v**2)))}")
     print(f"{config}: no mistakes found")
 
 
@@ -204,8 +192,6 @@ def replay(
     print(recorded.kept())
     for line in [*recorded.lost, *(str(gap) for gap in recorded.gaps if gap.missing == 0)]:
         print(f"  {line}")
-    if recorded.in_use:
-        print("it is being written by a car server: this is what is there so far")
     for v in recorded.of("/state"):
         print(f"  {v['t']:.3f} s  {v.get('from')} -> {v.get('to')}: {v.get('cause')}")
     config = recordings.config_of(recorded)

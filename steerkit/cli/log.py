@@ -16,13 +16,12 @@ from rich.table import Column, Table
 from steerkit._support.quantities import QUANTITIES, ended_unit
 from steerkit.cli.options import Machine, Picture, Quiet, written
 from steerkit.diagram.simulation import Log
-from steerkit.diagram.units import degrees_of
 from steerkit.learning import rundir
 from steerkit.logs import RawLog, drive_of, read_drive, read_log
 from steerkit.logs.channels import Channel, ColumnMap, candidates
 from steerkit.logs.drive import Drive
 from steerkit.plots.diagram import telling
-from steerkit.plots.style import COLOURS, new_figure, save, style
+from steerkit.plots.style import COLOURS, new_figure, save, styled
 
 Dbc = Annotated[
     list[str] | None,
@@ -185,39 +184,14 @@ def _row(channel: Channel, quantity: str) -> Row:
 
 
 MOST = 8
-"""Channels that are drawn where there is no drive."""
+"""Channels that are drawn."""
 
 
+@styled
 def picture(found: Contents) -> Any:
-    """The matplotlib figure of a log: the drive in it, with its gaps, or else its channels as they are."""
-    with style():
-        return _channels(found) if found.drive is None else _drive(found.drive)
-
-
-def _drive(drive: Drive) -> Any:
-    placed = drive.x is not None and drive.y is not None and bool(np.isfinite(drive.x).any())
-    figure, axes = new_figure(3, map_beside=placed, title=drive.name)
-    if placed:
-        where, axes = axes[0], axes[1:]
-        where.plot(np.asarray(drive.x), np.asarray(drive.y), color=COLOURS["learned"], lw=1.0)
-        where.set(xlabel="x [m]", ylabel="y [m]")
-        where.set_aspect("equal", adjustable="datalim")
-    curves = (
-        ("steering wheel [deg]", degrees_of(drive.delta_sw)),
-        ("speed [m/s]", drive.v),
-        ("yaw rate [deg/s]", degrees_of(drive.r)),
-    )
-    for ax, (label, values) in zip(axes, curves):
-        ax.plot(drive.t, np.where(drive.measured, values, np.nan), color=COLOURS["learned"], lw=0.9)
-        ax.plot(drive.t, np.where(drive.measured, np.nan, values), color=COLOURS["muted"], lw=0.9, ls=":")
-        ax.set_ylabel(label)
-    axes[-1].set_xlabel("t [s]; dotted: bridged, or within 1 s of a gap")
-    return figure
-
-
-def _channels(found: Contents) -> Any:
+    """The matplotlib figure of a log: its channels as they are, those of a drive first."""
     shown = sorted(found.rows, key=lambda row: not row["quantity"])[:MOST]
-    figure, axes = new_figure(len(shown), map_beside=False, title=f"{found.log.name}: no drive in it")
+    figure, axes = new_figure(len(shown), title=found.log.name)
     for ax, row in zip(axes, shown):
         channel = found.log.channels[row["name"]]
         ax.plot(channel.t, channel.values, color=COLOURS["learned"], lw=0.8)

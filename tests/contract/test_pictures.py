@@ -62,7 +62,6 @@ ERRORS = ("rms", "rms_driving", "mean_driving", "rms_rezeroed", "zero_shift")
 PREDICTED = Prediction(drive=DRIVE, r=0.3 * np.sin(T + 0.1), **dict(zip(ERRORS, 0.01 * np.arange(1.0, 6.0))))
 FITTED: dict[str, Any] = {"vehicle": PASSAT, "base": PASSAT, "drive": DRIVE, "estimates": (), "theta": {}, "free": ()}
 FOUND = Identified(**FITTED, fit=replace(PREDICTED, r=1.1 * DRIVE.r), covariance=np.eye(1), correlation_time=1.0)
-DRIVEN = replace(DRIVE, x=np.where(T > 8.0, T, np.nan), y=0.1 * T**2, measured=abs(T - 9.0) > 2.0)
 STEERED = {"actuator.delta_sw": np.sin(T), "path.e": 0.1 * T, "car.a_y": 2.0 * np.cos(T)}
 AGAIN = Resimulated(
     **dict.fromkeys(("name", "controller"), "a"),
@@ -94,7 +93,7 @@ def seen(scene: Any, show: Callable[..., Any], *at: float) -> Any:
     return scene
 
 
-def told(drive: Drive | None) -> Any:
+def told() -> Any:
     """The picture of a log of ten channels, the last of which is a drive's."""
     named = [Channel(name=f"c{k}", t=T, values=np.sin(T + k), unit="m" * (k % 2)) for k in range(9)]
     of = RawLog(
@@ -105,7 +104,7 @@ def told(drive: Drive | None) -> Any:
         digest="",
     )
     rows = contents(of).rows
-    return picture(Contents(log=of, rows=rows, drive=drive, trouble="", notes=()))
+    return picture(Contents(log=of, rows=rows, drive=None, trouble="", notes=()))
 
 
 STEPS = {"inputs": ["controller_path.e"], "outputs": ["path.e"]}
@@ -132,8 +131,7 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "frame": lambda: painted().figure,
     "map": lambda: pictures.policy_map(NFQ, SCENARIO, visited=SEEN),
     "curve": lambda: pictures.learning_curve(RECORD),
-    "log's drive": lambda: told(DRIVEN),
-    "log without a drive": lambda: told(None),
+    "log's channels": told,
     "resimulated": lambda: compared(AGAIN),
     "identified": lambda: FOUND.plot(PREDICTED),
     "fit": lambda: FOUND.plot(),

@@ -191,8 +191,6 @@ def test_what_the_file_says_arrives_in_its_place(tmp_path: Path) -> None:
     assert config.states.follow_angle == pytest.approx(math.pi / 4.0)
     mapping = config.quantities["delta_sw"]
     assert (mapping.sign, mapping.scale, mapping.offset, mapping.gain) == (-1.0, 2.0, 0.25, -2.0)
-    facts = config.facts()["read"]["delta_sw"]
-    assert (facts["gain"], facts["offset"]) == (-2.0, 0.25)
     assert config.gate.wheelbase == config.vehicle.wheelbase == config.vehicle.l_f + config.vehicle.l_r
     assert config.gate.steer_ratio == config.vehicle.steer_ratio
 

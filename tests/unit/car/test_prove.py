@@ -389,7 +389,7 @@ def test_a_kill_in_mid_run_leaves_a_recording_that_says_it(tmp_path: Path, monke
     assert run["cause"] == RECORDING_ENDS
     assert 1.8 < run["end"] - run["begin"] < 2.7
     recorded = recordings.read(tmp_path / "cut.mcap")
-    assert not recorded.sound
+    assert not recorded.whole
     (drive,) = replays.drives(recorded)
     assert replays.replayed_requests(drive, recordings.config_of(recorded), oval()) == len(drive.requests) > 100
 
@@ -459,6 +459,6 @@ def test_drive_puts_it_together(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_recording_that_tells_nonsense_of_a_run_is_refused_in_words(note: str) -> None:
     text = Steers(name="stanley", run=note).text()
     told = recordings.Message("/steers", {"t": 1.0, "what": text})
-    recorded = recordings.Recorded(metadata={}, messages=[told], gaps=[], size=0, in_use=False)
+    recorded = recordings.Recorded(metadata={}, messages=[told], gaps=[], size=0)
     with pytest.raises(ValueError, match=r"the recording: .* is no note of a run"):
         runs_in(recorded)

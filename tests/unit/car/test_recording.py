@@ -1,6 +1,5 @@
 """Recordings of a drive: written, read, cut, damaged, replayed bit for bit."""
 
-import fcntl
 import json
 import math
 import os
@@ -30,8 +29,6 @@ from tests.support.recordings import LINES, chunked, chunks_of, flipped, full_di
 def test_a_recording_of_a_drive_replays_bit_for_bit(drive: Path) -> None:
     recorded = recordings.read(drive)
     assert recorded.whole
-    assert recorded.sound
-    assert not recorded.in_use
     frames, equal = recordings.replayed_exactly(recorded, Core(recordings.config_of(recorded), setup()[1]))
     assert frames == equal > 10
     assert {type(event) for event in recorded.events()} == {Frame, Packet, Link, Tick, RecordingFault}
@@ -146,7 +143,7 @@ def test_a_recording_cut_anywhere_opens_with_all_chunks_that_came_before(tmp_pat
             continue
         there = sum(len(chunk.messages) for chunk in chunks if chunk.end <= length)
         assert list(map(repr, cut.messages)) == every[:there]
-        assert not cut.sound
+        assert not cut.whole
         (gap,) = cut.gaps
         assert gap.end == length
         assert gap.before is None
@@ -262,26 +259,11 @@ def test_a_recording_in_use_is_looked_into(tmp_path: Path, monkeypatch: pytest.M
     recorder = recordings.Recording(file, {"a": "b"})
     recorder.event(Tick(1.0), [])
     until(lambda: recordings.read(file).messages)
-    recorded = recordings.read(file)
-    assert recorded.in_use
-    assert recorded.gaps == []
-    assert not recorded.whole
+    (gap,) = recordings.read(file).gaps
+    assert (gap.before, gap.missing) == (None, None)
+    assert not recordings.read(file).whole
     recorder.close()
     assert recordings.read(file).whole
-
-
-def test_damage_in_a_recording_in_use_is_told_but_not_its_end_that_is_yet_to_come(drive: Path) -> None:
-    chunks = chunks_of(small())
-    drive.write_bytes(flipped(small(), 8 * (chunks[1].begin + 200))[: chunks[4].end])
-    with drive.open("rb") as stream:
-        fcntl.flock(stream, fcntl.LOCK_EX)
-        (gap,) = recordings.read(drive).gaps
-    assert gap.missing == LINES
-    assert len(recordings.read(drive).gaps) == 2
-    drive.write_bytes(flipped(small(), 8 * (chunks[-1].begin + 200)))  # with its end, and damage just before that
-    with drive.open("rb") as stream:
-        fcntl.flock(stream, fcntl.LOCK_EX)
-        assert len(recordings.read(drive).gaps) == 1
 
 
 def test_an_event_and_what_came_of_it_reach_the_operating_system_together(

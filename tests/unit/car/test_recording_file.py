@@ -70,7 +70,7 @@ def test_flipped_bits_lose_no_more_than_their_chunk_and_are_told() -> None:
         if place in times:
             continue
         (gap,) = damaged.gaps
-        assert not damaged.sound
+        assert not damaged.whole
         assert gap.begin <= place < gap.end
         hit = next((k for k, chunk in enumerate(chunks) if chunk.begin <= place < chunk.end), None)
         lost = len(chunks[hit].messages) if hit is not None else 0
@@ -98,7 +98,7 @@ def test_a_stretch_that_was_damaged_went_missing_or_came_in_between_loses_no_chu
     for _ in range(60):
         place = rng.randrange(len(data))
         found = recordings.parse(data[:place] + rng.randbytes(rng.randrange(1, 60)) + data[place:])
-        assert not found.sound
+        assert not found.whole
         assert len(found.messages) >= len(recordings.parse(data).messages) - LINES
         assert found.metadata == metadata
 

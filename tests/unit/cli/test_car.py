@@ -1,6 +1,5 @@
 """`steerkit car`: results where they are expected, and mistakes answered in one line with exit code 2."""
 
-import fcntl
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -126,15 +125,6 @@ def test_a_recording_with_nothing_but_a_damaged_index_has_lost_nothing(drive: Pa
     code, printed, _ = run("replay", drive, "--controller", "stanley")
     assert code == 0
     assert "no message is missing" in printed
-
-
-def test_a_recording_in_use_is_looked_into(drive: Path, run: Run) -> None:
-    drive.write_bytes(small()[:-3])
-    with drive.open("rb") as stream:
-        fcntl.flock(stream, fcntl.LOCK_EX)
-        code, printed, _ = run("replay", drive, "--controller", "stanley")
-    assert code == 0
-    assert "being written by a car server: this is what is there so far" in printed
 
 
 def test_a_recording_that_has_to_be_kept_has_to_be_made(

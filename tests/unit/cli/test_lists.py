@@ -4,7 +4,6 @@ from typing import Any
 
 import pytest
 
-from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import names
 from steerkit.vehicles import VEHICLES, fleet
 
@@ -16,14 +15,6 @@ def test_courses_as_a_table_and_as_json(cli: Any) -> None:
     assert rows["straight"]["tightest_radius_m"] is None
     printed = cli("courses").out
     assert all(name in printed for name in (*names(), "30.0", "straight", "random-7", "FILE.xodr"))
-
-
-def test_a_cars_check_as_json(cli: Any) -> None:
-    facts = cli("car", "check", "--json").json
-    assert facts["vehicle"] == "vw-passat"
-    assert facts["astray"]["5 m/s, bend"] < facts["astray"]["5 m/s, straight"] < 10.0
-    assert facts["limits"]["rate_max"] == pytest.approx(radians_of(550.0))
-    assert facts["read"]["v_kit"] == {"unit": "m/s", "signal": "VEH_VEL", "gain": pytest.approx(1 / 3.6), "offset": 0.0}
 
 
 def test_vehicles_as_a_table_and_as_json(monkeypatch: pytest.MonkeyPatch, cli: Any) -> None:
