@@ -1,12 +1,9 @@
 """Pictures of a loop, as a diagram of blocks and wires, and of signals of a log over time."""
 
 import math
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from steerkit.plots.style import COLOURS, DPI, PALETTE, new_figure, style
 
@@ -14,7 +11,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from steerkit.diagram.block import Port
     from steerkit.diagram.loop import Loop
     from steerkit.diagram.simulation import Log, Signal
 
@@ -26,8 +22,10 @@ def plot_diagram(loop: "Loop") -> "Figure":
     (`direct=False`): it breaks algebraic loops. Outputs that drive nothing are left out; `loop.units` lists all.
     """
     from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
 
-    boxes, lines, across, height = arrange(loop)
+    boxes, wires, across, height = arrange(loop)
     margin, inch = 0.8, 0.185
     size = (across + 2.0 * margin) * inch, (height + 2.0 * margin + 0.8) * inch
     with style():
@@ -35,11 +33,10 @@ def plot_diagram(loop: "Loop") -> "Figure":
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(-margin, across + margin), ylim=(height + margin + 0.8, -margin), aspect="equal")
     axes.axis("off")
-    for number, line in enumerate(lines):  # the halo of a later wire cuts the earlier ones where they cross
-        order = 1.0 + number / 100.0
-        for shade, width, above in ((COLOURS["paper"], 4.0, 0.0), (PALETTE[line.source % len(PALETTE)], 1.2, 0.005)):
-            for way in line.ways:
-                axes.plot(*zip(*way), color=shade, lw=width, zorder=order + above, solid_joinstyle="round")
+    for number, wire in enumerate(wires):  # the halo of a later wire cuts the earlier ones where they cross
+        curve = Path(wire.corners, [Path.MOVETO] + [Path.CURVE4] * (len(wire.corners) - 1))
+        for shade, width, above in ((COLOURS["paper"], 4.0, 0.0), (PALETTE[wire.source % len(PALETTE)], 1.2, 0.005)):
+            axes.add_patch(PathPatch(curve, fc="none", ec=shade, lw=width, zorder=1.0 + number / 100.0 + above))
     for number, box in enumerate(boxes):
         hollow = {port.name for port in loop.blocks[box.name].inputs if not port.direct}
         _draw_box(axes, box, PALETTE[number % len(PALETTE)], hollow)
@@ -84,10 +81,9 @@ def _draw_box(axes: "Axes", box: "Box", colour: str, hollow: set[str]) -> None:
 
 HEAD = 2.3
 CHARACTER = 0.36
-_FOOT, _GAP, _TRACK, _SLACK, _LANE = 0.45, 1.3, 0.62, 1.1, 0.8
+_FOOT, _GAP, _CHANNEL, _LANE = 0.45, 1.3, 4.0, 0.6
 
 Point = tuple[float, float]
-Order = tuple[int, ...]
 
 
 @dataclass(eq=False)
@@ -107,62 +103,55 @@ class Box:
     y: float = 0.0
 
 
-@dataclass(eq=False)
-class Line:
-    """An output's wire in the picture: from block number `source`, one polyline to each input that it drives."""
+class Wire(NamedTuple):
+    """A wire in the picture: the number of its block, and the corners of cubic curves from output to input."""
 
     source: int
-    start: tuple[Box, str]
-    ends: list[tuple[Box, str]]
-    lane: float = 0.0
-    """Height at which it runs above the boxes or below them, to columns other than the next."""
-    tracks: dict[int, float] = field(default_factory=dict)
-    """Where it runs up or down left of a column: x by column."""
-
-    @property
-    def far(self) -> list[int]:
-        """The columns that it reaches by its lane."""
-        return [box.column for box, _ in self.ends if box.column != self.start[0].column + 1]
-
-    @property
-    def ways(self) -> list[list[Point]]:
-        """The polylines."""
-        box, out = self.start
-        y0, away = box.y + box.outputs[out], self.tracks[box.column + 1]
-        ways = []
-        for end, port in self.ends:
-            y1, back = end.y + end.inputs[port], self.tracks[end.column]
-            middle = [] if end.column == box.column + 1 else [(away, self.lane), (back, self.lane)]
-            ways.append([(box.x + box.width, y0), (away, y0), *middle, (back, y1), (end.x, y1)])
-        return ways
+    corners: list[Point]
 
 
-def arrange(loop: "Loop") -> tuple[tuple[Box, ...], tuple[Line, ...], float, float]:
-    """The picture of a loop: a block stands right of those that drive it, in the order in which blocks are called.
+def arrange(loop: "Loop") -> tuple[list[Box], list[Wire], float, float]:
+    """The picture of a loop: a block stands right of those before it in a tick that drive it, in a column of its own.
 
-    Returns the boxes in the order of the loop's blocks, the wires, total width and height.
-    Wires to the next column run straight there; those that leave out columns run above all boxes, those back below.
+    Returns the boxes in the order of the loop's blocks, the wires, total width and height. Wires to the next column
+    run straight there; those that leave out columns run above all boxes, those back below, an output's in one lane.
     """
-    boxes = tuple(_box(loop, name) for name in loop.names)
-    made: dict[Port, Line] = {}
-    for a, b in loop.wires:
-        (source, out), (sink, port) = (loop.port_name(p).split(".") for p in (a, b))
-        k = loop.names.index(source)
-        made.setdefault(a, Line(k, (boxes[k], out), [])).ends.append((boxes[loop.names.index(sink)], port))
-    lines = tuple(made.values())
-    columns = _columns(loop, boxes, lines)
-    top, height = _lanes(lines, _stack(columns, lines))
-    for box in boxes:
-        box.y += top
-    x = 0.0
-    for number in range(len(columns) + 1):
-        x = _tracks(number, lines, x)
-        column = columns[number] if number < len(columns) else []
-        width = max((box.width for box in column), default=0.0)
+    boxes = {name: _box(loop, name) for name in loop.names}
+    ends = [(*loop.port_name(a).split("."), *loop.port_name(b).split(".")) for a, b in loop.wires]
+    for k, name in enumerate(loop.order):
+        drive = [boxes[a].column + 1 for a, _, b, _ in ends if b == name and a in loop.order[:k]]
+        boxes[name].column = max(drive, default=0)
+    columns = [[box for box in boxes.values() if box.column == n] for n in range(len(boxes))]
+    skips = {
+        (a, out): boxes[b].column - boxes[a].column for a, out, b, _ in ends if boxes[b].column != boxes[a].column + 1
+    }
+    above, below = ([key for key, jump in skips.items() if (jump > 0) == up] for up in (True, False))
+    top, x, bottom = _LANE * len(above), _CHANNEL, 0.0
+    for column in filter(None, columns):
+        y, width = top, max(box.width for box in column)
         for box in column:
-            box.x, box.width = x, width
-        x += width
-    return boxes, lines, x, height
+            box.x, box.y, box.width = x, y, width
+            y += box.height + _GAP
+        x, bottom = x + width + _CHANNEL, max(bottom, y)
+    lanes = {key: top - _LANE * (n + 1) for n, key in enumerate(above)}
+    lanes |= {key: bottom + _LANE * n for n, key in enumerate(below)}
+    wires = []
+    for a, out, b, port in ends:
+        (one, other), straight = (boxes[a], boxes[b]), boxes[b].column == boxes[a].column + 1
+        start, end = (one.x + one.width, one.y + one.outputs[out]), (other.x, other.y + other.inputs[port])
+        wires.append(Wire(loop.names.index(a), _corners(start, end, None if straight else lanes[a, out])))
+    return list(boxes.values()), wires, x, bottom + _LANE * len(below)
+
+
+def _corners(start: Point, end: Point, lane: float | None) -> list[Point]:
+    """Of the curves from an output to an input: one to the next column, else up or down to a lane and back."""
+    (x0, y0), (x1, y1) = start, end
+    if lane is None:
+        return [start, (x0 + 0.5 * _CHANNEL, y0), (x1 - 0.5 * _CHANNEL, y1), end]
+    bend, reach = (0.5 * _CHANNEL, _CHANNEL) if x1 > x0 else (_CHANNEL, 0.0)
+    there, back = (x0 + reach, lane), (x1 - reach, lane)
+    away = [start, (x0 + bend, y0), (x0 + bend, lane), there]
+    return [*away, there, back, back, (x1 - bend, lane), (x1 - bend, y1), end]
 
 
 def _box(loop: "Loop", name: str) -> Box:
@@ -184,94 +173,6 @@ def _box(loop: "Loop", name: str) -> Box:
         width=width,
         height=HEAD + rows + _FOOT,
     )
-
-
-def _columns(loop: "Loop", boxes: Sequence[Box], lines: Sequence[Line]) -> list[list[Box]]:
-    """The boxes of each column: as few wires as possible run backwards, then the longest forward path counts."""
-    weight = Counter((line.source, loop.names.index(box.name)) for line in lines for box, _ in line.ends)
-
-    def backward(order: Order) -> float:
-        at = {block: k for k, block in enumerate(order)}
-        return sum(w for (a, b), w in weight.items() if at[a] > at[b])
-
-    order = _ordered(tuple(map(loop.names.index, loop.order)), backward)
-    for k, block in enumerate(order):
-        boxes[block].column = max((boxes[a].column + 1 for a in order[:k] if weight[a, block]), default=0)
-    last = max(box.column for box in boxes)
-    return [[box for box in boxes if box.column == number] for number in range(last + 1)]
-
-
-def _stack(columns: list[list[Box]], wires: Sequence[Line]) -> float:
-    """Heights from left to right: a box stands where its wires from the column before are straight, if it can."""
-    for column in columns:
-        wanted: dict[int, float] = {}
-        for box in column:
-            straight = [
-                line.start[0].y + line.start[0].outputs[line.start[1]] - box.inputs[port]
-                for line in wires
-                for end, port in line.ends
-                if end is box and line.start[0].column == box.column - 1
-            ]
-            wanted[id(box)] = float(np.mean(straight)) if straight else 0.0
-        column.sort(key=lambda box: wanted[id(box)])
-        bottom = 0.0
-        for box in column:
-            box.y = max(wanted[id(box)], bottom)
-            bottom = box.y + box.height + _GAP
-    return max(box.y + box.height for column in columns for box in column)
-
-
-def _lanes(wires: Sequence[Line], bottom: float) -> tuple[float, float]:
-    """Gives wires that leave out columns their lanes; returns the height of those above, and of all."""
-    far = [line for line in wires if line.far]
-    above = [line for line in far if min(line.far) > line.start[0].column]
-    below = [line for line in far if line not in above]
-    top = _LANE * len(above)
-    for side, first, step in ((above, top - _LANE, -_LANE), (below, top + bottom + 1.0, _LANE)):
-        side.sort(key=lambda line: max(abs(column - line.start[0].column) for column in line.far))
-        for n, line in enumerate(side):
-            line.lane = first + step * n
-    return top, top + bottom + 1.0 + _LANE * len(below)
-
-
-def _tracks(channel: int, wires: Sequence[Line], x: float) -> float:
-    """Gives each wire that runs up or down left of column `channel` its own track; returns the column's place."""
-    spans: dict[int, tuple[list[float], list[float]]] = {}
-    for k, line in enumerate(wires):
-        box, out = line.start
-        leaves = [end.y + end.inputs[port] for end, port in line.ends if end.column == channel]
-        starts = box.column + 1 == channel
-        enters = [box.y + box.outputs[out]] if starts else []
-        if leaves or starts:
-            by_lane = [line.lane] if channel in line.far or (starts and line.far) else []
-            spans[k] = enters, leaves + by_lane
-
-    def pair(a: int, b: int) -> float:
-        """Cost of a's track left of b's: crossings, and much for horizontals that would lie on each other."""
-        right_of_a, left_of_b = spans[a][1], spans[b][0]
-        low_a, *_, high_a = sorted([*spans[a][0], *right_of_a] * 2)
-        low_b, *_, high_b = sorted([*left_of_b, *spans[b][1]] * 2)
-        crossings = sum(low_b < y < high_b for y in right_of_a) + sum(low_a < y < high_a for y in left_of_b)
-        return crossings + 50.0 * sum(abs(y - z) < 0.3 for y in right_of_a for z in left_of_b)
-
-    table = {(a, b): pair(a, b) for a in spans for b in spans if a != b}
-    first = tuple(sorted(spans, key=lambda k: -min([*spans[k][0], *spans[k][1]])))
-    order = _ordered(first, lambda order: sum(table[a, b] for n, a in enumerate(order) for b in order[n + 1 :]))
-    for n, k in enumerate(order):
-        wires[k].tracks[channel] = x + _SLACK + _TRACK * n
-    return x + (2.0 * _SLACK + _TRACK * (len(order) - 1) if order else 0.0)
-
-
-def _ordered(start: Order, cost: Callable[[Order], float]) -> Order:
-    """The best order found by moving one entry at a time, as long as that helps."""
-    best, least = start, cost(start)
-    while True:
-        others = [(a, tuple(b for b in best if b != a)) for a in best]
-        moved = ((*others_of[:n], a, *others_of[n:]) for a, others_of in others for n in range(len(best)))
-        candidate = min(moved, key=cost, default=best)
-        if cost(candidate) >= least:
-            return best
-        best, least = candidate, cost(candidate)
 
 
 _SHOWN = ("e", "delta_sw", "v", "a_y", "psi_e", "r")  # outputs worth a panel, best first
