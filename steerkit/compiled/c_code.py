@@ -1,6 +1,5 @@
 """The traced loop as C: for one car in doubles, or for several cars at once in SIMD vectors of doubles."""
 
-import heapq
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,65 +25,17 @@ SCALAR_TYPES = f"{_SCALAR}#define CALL1(f, a) f(a)\n#define CALL2(f, a, b) f(a, 
 MANY, _RUN = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("lanes.c", "run.c"))
 ONE = f"#define ONE_CAR\n{_SCALAR}{MANY}"
 
-_CYCLES = {
-    **dict.fromkeys(("const", "in", "result"), (0, 0.0)),
-    **dict.fromkeys(("select", *BOOLEAN), (2, 0.3)),
-    "row": (6, 0.3),
-    "div": (13, 1.0),
-    "sqrt": (20, 1.0),
-    "floor": (8, 0.5),
-    **dict.fromkeys(("sin", "cos"), (45, 4.0)),
-    "tan": (60, 9.0),
-    **dict.fromkeys(("atan", "atan2"), (60, 8.0)),
-    **dict.fromkeys(("exp", "log"), (60, 12.0)),
-    **dict.fromkeys(("tanh", "asin", "acos"), (80, 15.0)),
-    "call": (30000, 30000.0),
-}
-_SIMPLE = 4, 0.3
-"""Cycles until the result is there, and cycles of a processor's issue; roughly those of machines of the 2020s."""
-
 
 def scheduled(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """The nodes that `roots` need, each after its operands, as a processor that sees all of them would start them.
+    """The nodes that `roots` need, each after its operands, those with chains of operands of one length side by side.
 
     A processor looks some hundred instructions ahead. A loop's blocks are chains of dependent instructions much longer
-    than that, a car's substeps and the tracker's search, say; written one after the other they also run so. List
-    scheduling by critical path (Graham 1969): among the instructions whose operands are there, the one with the
-    longest way to the end comes next.
+    than that, a car's substeps and the tracker's search, say; written one after the other they also run so.
     """
-    order = graph.order(roots)
-    needs = {i: set(graph.operands(i)) for i in order}
-    users: dict[int, list[int]] = {i: [] for i in order}
-    for i, operands in needs.items():
-        for j in operands:
-            users[j].append(i)
-    cost = {i: _CYCLES.get(graph.nodes[i][0], _SIMPLE) for i in order}
-    way: dict[int, float] = {}
-    for i in reversed(order):
-        way[i] = cost[i][0] + max([way[j] for j in users[i]], default=0.0)
-    waiting = {i: len(operands) for i, operands in needs.items()}
-    there = dict.fromkeys(order, 0.0)
-    ready = [(-way[i], i) for i in order if not waiting[i]]  # operands are there by now: by the way that is left
-    heapq.heapify(ready)
-    later: list[tuple[float, int]] = []  # by the moment at which the operands are there
-    done: list[int] = []
-    now = 0.0
-    while ready or later:
-        if not ready:
-            now = max(now, later[0][0])
-        while later and later[0][0] <= now:
-            _, i = heapq.heappop(later)
-            heapq.heappush(ready, (-way[i], i))
-        _, i = heapq.heappop(ready)
-        done.append(i)
-        latency, issue = cost[i]
-        for j in users[i]:
-            there[j] = max(there[j], now + latency)
-            waiting[j] -= 1
-            if not waiting[j]:
-                heapq.heappush(later, (there[j], j))
-        now += issue
-    return done
+    length: dict[int, int] = {}
+    for i in graph.order(roots):
+        length[i] = 1 + max([length[j] for j in graph.operands(i)], default=0)
+    return sorted(length, key=length.__getitem__)
 
 
 def run_source(trace: Trace, recorded: Sequence[int], *, many: bool) -> str:
