@@ -1,7 +1,7 @@
 """Linear analysis of loops with python-control: linearise, break open, margins; and systems to and from it::
 
     L = break_at(loop, "controller.delta_sw")       # a control.StateSpace; closed loop = control.feedback(L)
-    print(margins(L), L.poles());  plot_bode({"Stanley": L})
+    print(margins(L), L.poles());  control.bode_plot(L)
 
 A loop with several sample times is taken over its whole period, after which all blocks sample together again: one step
 of the result is one period. That is exact and no approximation by the slowest block (lifting: Meyer, Burrus 1975).
@@ -205,12 +205,6 @@ def over(make: "Callable[[float], Loop]", values: Sequence[float], signal: str) 
     return points
 
 
-def step_response(system: Any, seconds: float) -> tuple[Array, Array]:
-    """t (T,) [s] and the answer of a single-input, single-output system to a step of 1, (T,)."""
-    t = np.arange(max(2, round(seconds / system.dt) + 1)) * system.dt
-    return t, np.asarray(control.step_response(system, t).outputs).ravel()
-
-
 def _named(signals: Sequence[str], samples: Sequence[int], opened: Sequence[str]) -> tuple[list[int], list[str]]:
     """Which entries are shown of signals with so many samples each, and their names."""
     numbers: list[int] = []
@@ -242,41 +236,6 @@ def _joined(a: Array, b: Array, c: Array) -> list[int]:
 
 
 @styled
-def plot_bode(loops: Mapping[str, Any], *, title: str = "") -> "Figure":
-    """Gain and phase of open loops over frequency, by name; dots where |L| = 1, margins in the legend.
-
-    loops: single-input, single-output systems, as `break_at` gives them. Raises ValueError as `margins` does, but for
-    an unstable closed loop, which the legend names.
-    """
-    figure, (gain, phase) = new_figure(2, title=title, height=5.4)
-    for colour, (name, system) in zip(PALETTE, loops.items()):
-        top = math.pi / system.dt if system.isdtime(strict=True) else 1e3
-        w = np.geomspace(3e-3 * top, top * (1.0 - 1e-6), 1000)
-        answer = np.asarray(system(np.exp(1j * w * system.dt) if system.isdtime(strict=True) else 1j * w))
-        angle = np.unwrap(np.angle(answer))
-        angle -= 2.0 * math.pi * math.ceil((angle[0] - 0.1) / (2.0 * math.pi))  # starts in (-360, 0] degrees
-        try:
-            margin = margins(system)
-            label = f"{name}: {_legend(margin.gain, margin.phase, margin.delay)}"
-            at = margin.gain_crossing
-        except UnstableError:
-            label, at = f"{name}: closed loop unstable", math.nan
-        gain.plot(w, 20.0 * np.log10(np.maximum(np.abs(answer), 1e-9)), color=colour, label=label)
-        phase.plot(w, degrees_of(angle), color=colour)
-        if math.isfinite(at):
-            gain.plot(at, 0.0, "o", ms=5, color=colour)
-            phase.plot(at, degrees_of(float(np.interp(at, w, angle))), "o", ms=5, color=colour)
-    gain.axhline(0.0, color=COLOURS["muted"], lw=0.8)
-    phase.axhline(-180.0, color=COLOURS["muted"], lw=0.8)
-    gain.set(xscale="log", ylabel="|L| [dB]", ylim=(-40.0, None))
-    phase.set(ylabel="arg L [deg]", xlabel="frequency [rad/s]", ylim=(-720.0, 20.0))
-    phase.set_yticks(range(-720, 1, 180))
-    gain.legend(loc="upper right")
-    phase.margins(x=0.0)
-    return figure
-
-
-@styled
 def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]", title: str = "") -> "Figure":
     """Phase margin, delay margin and the largest closed-loop pole over what was varied: a line a name.
 
@@ -297,23 +256,3 @@ def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]",
     pole.set(ylabel="largest |pole|", xlabel=xlabel)
     phase.legend(loc="upper right", ncols=2)
     return figure
-
-
-@styled
-def plot_steps(systems: Mapping[str, Any], seconds: float, *, ylabel: str = "", title: str = "") -> "Figure":
-    """Step responses of single-input, single-output systems over t, by name, such as those of several speeds."""
-    figure, (panel,) = new_figure(1, title=title)
-    for colour, (name, system) in zip(PALETTE, systems.items()):
-        panel.plot(*step_response(system, seconds), color=colour, label=name)
-    panel.axhline(0.0, color=COLOURS["muted"], lw=0.8)
-    panel.set(xlabel="t [s]", ylabel=ylabel)
-    panel.margins(x=0.0)
-    panel.legend(loc="best")
-    return figure
-
-
-def _legend(gain: float, phase: float, delay: float) -> str:
-    """Margins for a legend."""
-    parts = [("gain", f"{gain:.2f}", gain), ("phase", f"{degrees_of(phase):.0f}°", phase)]
-    parts.append(("delay", f"{delay:.2f} s", delay))
-    return ", ".join(f"{name} {text if math.isfinite(value) else '∞'}" for name, text, value in parts)

@@ -16,7 +16,7 @@ import pytest
 from matplotlib.collections import Collection
 from matplotlib.patches import Patch
 
-from steerkit.analysis import linearise, over, plot_bode, plot_over, plot_steps
+from steerkit.analysis import over, plot_over
 from steerkit.cli.log import Contents, contents, picture
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
@@ -81,10 +81,10 @@ def painted() -> Any:
     return painter._scene
 
 
-def margins(draw: Callable[[Any], Any]) -> Any:
+def margins() -> Any:
     """A picture of loops on a straight road, one of them unstable at 9 m/s."""
     textbook = over(lambda v: steered(v, Stanley.textbook(PASSAT)), [5.0, 9.0], "controller.delta_sw")
-    return draw({"a": over(steered, [5.0, 9.0], "controller.delta_sw"), "b": textbook})
+    return plot_over({"a": over(steered, [5.0, 9.0], "controller.delta_sw"), "b": textbook})
 
 
 def seen(scene: Any, show: Callable[..., Any], *at: float) -> Any:
@@ -107,7 +107,6 @@ def told() -> Any:
     return picture(Contents(log=of, rows=rows, drive=None, trouble="", notes=()))
 
 
-STEPS = {"inputs": ["controller_path.e"], "outputs": ["path.e"]}
 SCENE = (animation.Moments.of_log(LOG), PATH, 2.7, 1.2, 15.0, 18.0)
 PICTURES: dict[str, Callable[[], Any]] = {
     **{
@@ -115,9 +114,7 @@ PICTURES: dict[str, Callable[[], Any]] = {
         for name, make in LOOPS.items()
         if name != "sensors"
     },
-    "margins": lambda: margins(plot_over),
-    "bode": lambda: margins(lambda points: plot_bode({name: at[1].open_loop for name, at in points.items()})),
-    "steps": lambda: plot_steps({"a": linearise(steered(5.0), **STEPS)}, 8.0, ylabel="e [m]"),
+    "margins": margins,
     "log": lambda: diagram.plot_log(simulate(small(), 1.0, batch=7), ["wave.v", "gain.y", "angle.angle"]),
     "figure": lambda: style.new_figure(2, map_beside=True, title="a")[0],
     "course": lambda: drive.plot_course(PATH),

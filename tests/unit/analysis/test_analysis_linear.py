@@ -96,7 +96,7 @@ def test_a_fast_signal_is_lifted_and_has_no_margins() -> None:
 
 
 def test_a_linear_loop_answers_a_step_as_its_simulation_does() -> None:
-    t, y = analysis.step_response(linearise(steered(), inputs=["car.psi"], outputs=["car.r"]), 1.0)
+    t, y = control.step_response(linearise(steered(), inputs=["car.psi"], outputs=["car.r"]), 1.0)
     system = analysis.to_control(steered(), inputs=["car.psi"], outputs=["car.r"])
     response = control.input_output_response(system, t, np.full(len(t), 1e-4), system.params["x0"])
     np.testing.assert_allclose(y, np.asarray(response.outputs).ravel() / 1e-4, atol=1e-3 * np.abs(y).max())
