@@ -396,7 +396,8 @@ class Core:
     def snapshot(self, t: float) -> protocol.Snapshot:
         """What a client may know at time t [s]."""
         v, f = self.senses.values, self.facts(t)
-        numbers = {name: v.get(name, math.nan) for name in ("x", "y", "psi", "v", "r", "delta_sw", "v_kit", "torque")}
+        known = {name: value for name, value in f._asdict().items() if name in protocol.Snapshot._fields}
+        known |= {name: v.get(name, math.nan) for name in ("x", "y", "psi", "r", "torque")}
         limits = self.config.states
         checks = {Mode.STANDBY: states.readying, Mode.READY: states.readying, Mode.ENGAGED: states.warnings}
         against = [*checks.get(self.machine.mode, states.latched)(limits, f)]
@@ -404,20 +405,13 @@ class Core:
             against.append(f"not recorded: {self._unrecorded}")
         return protocol.Snapshot(
             t=t,
-            **numbers,
+            **known,
             beta=self.senses.beta,
-            a_y=v.get("a_y", numbers["v"] * numbers["r"]),
-            e=self.senses.e,
-            psi_e=self.senses.psi_e,
+            a_y=v.get("a_y", f.v * known["r"]),
             command=self._command,
-            report_age=f.report_age,
-            pose_age=f.pose_age,
-            request_age=f.request_age,
             errors=float(self.senses.error_count),
             frames_sent=float(self._frames_sent),
             places=float(self.senses.places),
-            astray=f.astray,
             mode=self.machine.mode,
-            holder=f.holder,
             text="\n".join([self.machine.cause, *against]),
         )

@@ -24,7 +24,6 @@ from rich.table import Table
 from rich.text import Text
 
 from steerkit._support.clock import Clock
-from steerkit._support.errors import require
 from steerkit.car.client import CarClient, CarLost
 from steerkit.car.motion import ASTRAY, HORIZON
 from steerkit.car.protocol import Adapted, Beat, Filtered, Snapshot
@@ -57,8 +56,8 @@ SHOWN |= {"e": "path.e", "psi_e": "path.psi_e", "command": "gate.delta_sw"}
 """What a snapshot holds, and its name among a drive's signals."""
 UNRECORDED = ("not recorded: ", "recording: ")
 """How what a snapshot says against its recording begins."""
-LONGEST_RATE = 200.0
-"""The most samples a second that the car server may be asked for."""
+STREAMED = 0.05
+"""Time between two samples for Foxglove [s]."""
 
 
 class Panel:
@@ -307,14 +306,12 @@ def _keys() -> Any:
                 termios.tcsetattr(fd, termios.TCSANOW, before)
 
 
-def stream(link: CarClient, server: Any, *, rate: float = 20.0) -> None:
+def stream(link: CarClient, server: Any) -> None:
     """Show a car's snapshots in Foxglove until the car server ends (CarLost): a car, seen live from a second terminal.
 
     The car waits for nothing of this: it answers a query as it does the panel's, and no order is ever given.
-    link: to the car server, with `controller=False`. server: `steerkit.logs.foxglove.Server`. rate: of queries [1/s].
+    link: to the car server, with `controller=False`. server: `steerkit.logs.foxglove.Server`.
     """
-    valid = f"rate = {rate} 1/s, expected more than 0, up to {LONGEST_RATE:g}"
-    require(0.0 < rate <= LONGEST_RATE, "car stream", valid)
     server.begin(list(SHOWN.values()))
     clock, last = Clock(), -math.inf
     while True:
@@ -323,4 +320,4 @@ def stream(link: CarClient, server: Any, *, rate: float = 20.0) -> None:
             server.show(now.t, [float(getattr(now, name)) for name in SHOWN])
             server.note("/state", {"mode": str(now.mode), "text": now.text}, now.t)
             last = now.t
-        clock.sleep_until(began + 1.0 / rate)
+        clock.sleep_until(began + STREAMED)

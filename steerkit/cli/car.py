@@ -159,7 +159,6 @@ def order(
 def stream(
     where: Annotated[str, typer.Argument(metavar="[HOST:]PORT", help="The loopback, unless a host is named.")] = "8765",
     socket: Socket = "",
-    rate: Annotated[float, typer.Option(help="Samples a second.")] = 20.0,
 ) -> None:
     """Show a car live in Foxglove, from a second terminal, until Ctrl-C: a read-only WebSocket.
 
@@ -169,7 +168,7 @@ def stream(
         server = Server(where)
         print(f"live in Foxglove: open a connection to {server.address}; Ctrl-C ends it", flush=True)
         try:
-            show(link, server, rate=rate)
+            show(link, server)
         except CarLost as error:
             print(error)
         except KeyboardInterrupt:

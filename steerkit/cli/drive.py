@@ -55,7 +55,6 @@ def drive(
         str,
         shared.in_simulation("A target of lateral acceleration instead of the course: drawn-7, lap, or a CSV file."),
     ] = "",
-    pace: Annotated[float, shared.in_simulation("With --stream: times real time.")] = 1.0,
     minutes: Annotated[float, shared.on_car("How many minutes; 0: until `q`.")] = 0.0,
 ) -> None:
     """Drive with any controller: a course in simulation, or with --car FILE a car, armed and engaged by keys.
@@ -81,7 +80,6 @@ def drive(
         film_writer(animate)
     folder = out is None or out.is_dir() or not out.exists()
     require(folder, f"--out {out}", "is a file, expected a directory for log and picture")
-    require(stream or "pace" not in shared.given(ctx), "drive --pace", "is for --stream PORT; say that too")
     require(not (stream and len(asked) > 1), f"--stream {stream}", "shows one controller; name one")
     scenario = shared.scenario_of(ctx)
     if target:
@@ -100,7 +98,7 @@ def drive(
     place = out or _place_of_its_own(Path("runs") / f"drive-{who}-{where}-seed{options.seed}")
     console.stderr = options.as_json
     require(len(asked) == 1 or animate is None, "--animate", "films one controller; name one")
-    with shared.streamed(stream, pace=pace) as each:
+    with shared.streamed(stream, in_time=True) as each:
         rows = driven(asked, scenario, place, rounds=rounds, seed=options.seed, quiet=options.quiet, each=each)
     if animate is not None:
         log = Log.load(place / "drive.npz")

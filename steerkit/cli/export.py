@@ -31,7 +31,6 @@ LAYOUTS = {".json": "foxglove", ".xml": "plotjuggler"}
 def export(
     run: Annotated[Path, typer.Argument(help="A learning run's directory; AGENT.npz; any program's log; CAR.toml.")],
     onnx: Annotated[Path | None, typer.Option(help="File for the final policy as an ONNX model.")] = None,
-    single: Annotated[bool, typer.Option(help="The ONNX model in float32 instead of float64.")] = False,
     minari: Annotated[
         str | None, typer.Option(help="Name for the transitions as a Minari data set, such as steerkit/paper-v0.")
     ] = None,
@@ -57,7 +56,7 @@ def export(
         )
     console, done = Console(quiet=quiet, soft_wrap=True), dict[str, Any]()
     if onnx is not None:
-        done["onnx"] = _to_onnx(run, onnx, single)
+        done["onnx"] = _to_onnx(run, onnx)
         text = ", ".join(f"{name} {value:.2g}" for name, value in done["onnx"]["largest_difference"].items())
         console.print(f"policy: {onnx}; checked on {done['onnx']['states']} states, largest difference: {text}")
     if minari is not None:
@@ -91,17 +90,16 @@ def _car(file: Path, yaml: Path | None, row: Path | None) -> None:
         write_text(row, json.dumps(cars.opendbc(car, delay=delay), indent=1) + "\n")
 
 
-def _to_onnx(run: Path, file: Path, single: bool) -> dict[str, Any]:
+def _to_onnx(run: Path, file: Path) -> dict[str, Any]:
     from steerkit.export import onnx  # here, as the extra `export` may not be there
 
     policy = PolicyBlock.load(run) if run.suffix == ".npz" else rundir.final_policy(run)
     states, exact = 10_000, "q" if isinstance(policy, NfqPolicy) else "action"  # of equal q either action is as good
-    onnx.export_onnx(policy, file, single=single)
+    onnx.export_onnx(policy, file)
     difference = onnx.check_onnx(policy, file, states=states)
-    bound = 1e-4 if single else 1e-6
-    if not (worst := difference[exact]) <= bound:
+    if not (worst := difference[exact]) <= 1e-6:
         file.unlink()
-        raise ValueError(f"{file}: its {exact} differs from the policy's by {worst:.2g}, expected <= {bound}")
+        raise ValueError(f"{file}: its {exact} differs from the policy's by {worst:.2g}, expected <= 1e-06")
     return {"file": str(file), "states": states, "largest_difference": difference}
 
 

@@ -225,8 +225,8 @@ def driven_on(scenario: Scenario, conditions: str) -> str:
 
 
 @contextlib.contextmanager
-def streamed(where: str, *, pace: float = 0.0, signals: Sequence[str] | None = None) -> Iterator[Any]:
-    """What shows each sample live at `[HOST:]PORT`; None for "". pace: no faster than so many times real time."""
+def streamed(where: str, *, in_time: bool = False, signals: Sequence[str] | None = None) -> Iterator[Any]:
+    """What shows each sample live at `[HOST:]PORT`; None for "". in_time: no faster than in reality."""
     if not where:
         yield None
         return
@@ -239,7 +239,7 @@ def streamed(where: str, *, pace: float = 0.0, signals: Sequence[str] | None = N
         server.sample(sample, signals)
 
     try:
-        yield paced(each, pace) if pace else each
+        yield paced(each) if in_time else each
     finally:
         server.end()
 

@@ -17,13 +17,12 @@ from steerkit.diagram.maths import Array
 OPSET = 17
 
 
-def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *, single: bool = False) -> None:
+def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str]) -> None:
     """Write a policy as an ONNX model: scaling, nets, their mean and the choice of the action inside.
 
     Input `state` (N, columns): SI, columns as in the block's description, unscaled. Outputs: `action` (N,) [rad], for
     a dynamic output element, which stays outside; of an `NfqPolicy` also `q` (N,) [1], its expected cost. A state with
-    a NaN or an infinity gives NaN. Numbers are float64; single: float32, with which a choice between two actions of
-    nearly equal cost may come out differently. Names, units and ranges stand in the model's metadata.
+    a NaN or an infinity gives NaN. Numbers are float64; names, units and ranges stand in the model's metadata.
 
     Raises ValueError for a policy without nets, or one that is more than its nets (a forecast, actions between those of
     its set), or without onnx; TypeError for a block that holds no net.
@@ -38,7 +37,7 @@ def export_onnx(block: NfqPolicy | PolicyBlock, file: str | os.PathLike[str], *,
         require(not more, "export_onnx", fault)
     elif not isinstance(block, PolicyBlock) or not isinstance(block.policy, Network):
         raise TypeError(f"export_onnx: {block!r}; valid: an NfqPolicy, or a PolicyBlock of a Network")
-    graph = _Graph(single)
+    graph = _Graph()
     actions, values = _nfq(graph, block) if isinstance(block, NfqPolicy) else (_network(graph, block), None)
     graph.finish(file, block.description, block.dt, action=actions, q=values)
 
@@ -54,26 +53,25 @@ def check_onnx(
     s = d.mid + d.half * np.random.default_rng(seed).uniform(-2.0, 2.0, (states, len(d.names)))
     runtime = optional("onnxruntime", "check_onnx", "export")
     session = runtime.InferenceSession(os.fspath(file), providers=["CPUExecutionProvider"])
-    kind = np.float32 if session.get_inputs()[0].type == "tensor(float)" else np.float64
     names = [output.name for output in session.get_outputs()]
-    answers = dict(zip(names, session.run(names, {"state": s.astype(kind)})))
+    answers = dict(zip(names, session.run(names, {"state": s})))
     columns = dict(zip(d.names, s.T))
     u = block.D(**{port: columns.get(port, np.zeros(states)) for port in block.D._fields})
     y = block.output(0.0, (), u)
     gaps = {name: np.abs(answers[name] - getattr(y, name)) for name in names}
     if isinstance(block, NfqPolicy):
-        gaps["action"][_equally_good(block, u, answers["action"], 1e-5 if kind is np.float32 else 1e-12)] = 0.0
+        gaps["action"][_equally_good(block, u, answers["action"])] = 0.0
     return {name: float(gap.max()) for name, gap in gaps.items()}
 
 
-def _equally_good(policy: NfqPolicy, u: Any, answer: Array, rounding: float) -> NDArray[np.bool_]:
+def _equally_good(policy: NfqPolicy, u: Any, answer: Array) -> NDArray[np.bool_]:
     """Where the answer is an action of the set whose cost is the least there is."""
     d = policy.description
     alone = replace(d, action_scale=d.scale_of(policy.actions))
     costs = np.stack([replace(policy, actions=(a,), description=alone).output(0.0, (), u).q for a in policy.actions])
     off = np.abs(np.outer(policy.actions, d.excess(u.v) ** -2.0) - answer)
     chosen = np.take_along_axis(costs, off.argmin(axis=0)[None, :], axis=0)[0]
-    found: NDArray[np.bool_] = (off.min(axis=0) <= 1e-6) & (chosen - costs.min(axis=0) <= rounding)
+    found: NDArray[np.bool_] = (off.min(axis=0) <= 1e-6) & (chosen - costs.min(axis=0) <= 1e-12)
     return found
 
 
@@ -129,16 +127,15 @@ def _network(graph: "_Graph", block: PolicyBlock) -> str:
 class _Graph:
     """Nodes and constants while a model is being made."""
 
-    def __init__(self, single: bool):
+    def __init__(self) -> None:
         self.onnx = optional("onnx", "export_onnx", "export")
-        self.float: Any = np.float32 if single else np.float64
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
 
-    def number(self, value: Any, kind: Any = None) -> str:
+    def number(self, value: Any, kind: Any = np.float64) -> str:
         """A constant of numbers, floating-point ones if not told otherwise."""
         name = f"c{len(self._constants)}"
-        array = np.array(value, dtype=kind or self.float)
+        array = np.array(value, dtype=kind)
         self._constants.append(self.onnx.numpy_helper.from_array(array, name))
         return name
 
@@ -155,10 +152,9 @@ class _Graph:
     def finish(self, file: str | os.PathLike[str], d: StateDescription, dt: float, **outputs: str | None) -> None:
         """Write the model with these outputs, which are NaN where the state is not sound."""
         helper = self.onnx.helper
-        kind = helper.np_dtype_to_tensor_dtype(np.dtype(self.float))
+        kind = self.onnx.TensorProto.DOUBLE
         total = self.op("ReduceSum", "state", self.whole(1), keepdims=0)
-        largest = 1e300 if self.float is np.float64 else 1e38
-        sound = self.op("LessOrEqual", self.op("Abs", total), self.number(largest))
+        sound = self.op("LessOrEqual", self.op("Abs", total), self.number(1e300))
         written = {name: value for name, value in outputs.items() if value is not None}
         for name, value in written.items():
             self._nodes.append(helper.make_node("Where", [sound, value, self.number(np.nan)], [name]))

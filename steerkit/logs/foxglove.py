@@ -1,7 +1,7 @@
 """Drives to Foxglove and PlotJuggler: as an MCAP file, and live over a WebSocket while they are driven.
 
-Both hold the same topics: `/car`, `/wheel`, `/path` under the names that the layouts show, `/signals/...`, and
-the scene of Foxglove's 3D panel. Clients of the live server can look, and nothing else: it offers no capability.
+Both hold the same topics: `/car`, `/wheel`, `/path` under the names that the layouts show, and `/signals/...`. Clients
+of the live server can look, and nothing else: it offers no capability.
 """
 
 import logging
@@ -28,10 +28,6 @@ _SOURCES = {
     "/wheel/delta_sw_cmd": [f"{block}.delta_sw" for block in ("supervisor", "doe", "controller", "gate")],
 }
 """What the layouts call a signal, and the signals that may be it, best first."""
-POSE, DRIVEN = "/scene/pose", "/scene/driven"
-"""Topics of Foxglove's 3D panel: where the car is, and the way that it came."""
-MOST = 2000
-"""Points of the way driven, at most."""
 
 
 def shown_as(names: Iterable[str]) -> dict[str, str]:
@@ -61,8 +57,6 @@ def layout(program: str, file: str | Path) -> Path:
 HOST = "127.0.0.1"
 FLUSH = 0.3
 """For how long clients may take the last messages [s]; the server then ends, whether they have or not."""
-EVERY = 1.0
-"""The way driven is shown no more often than this [s]."""
 
 
 def place_of(where: str) -> tuple[str, int]:
@@ -77,18 +71,17 @@ def place_of(where: str) -> tuple[str, int]:
 class Topics:
     """Signals as topics of Foxglove's SDK, for whatever listens to its context: `begin` with their names, then `show`.
 
-    start: when t = 0 is, since 1970 [ns]; None: the first sample is stamped with the time of day. every: how often the
-    way driven is shown [s of computing]. Raises ValueError where foxglove-sdk is missing.
+    start: when t = 0 is, since 1970 [ns]; None: the first sample is stamped with the time of day. Raises ValueError
+    where foxglove-sdk is missing.
     """
 
-    def __init__(self, *, start: int | None = None, every: float = EVERY):
+    def __init__(self, *, start: int | None = None):
         foxglove = optional("foxglove", "Foxglove: MCAP or a stream", "logs")
         foxglove.set_log_level(logging.CRITICAL)  # who dials a wrong number is no news on a terminal
         self.sdk, self.context = foxglove, foxglove.Context()
-        self._start, self._every, self._shown_way = start, every, 0.0
+        self._start = start
         self.channels: dict[str, Any] = {}
         self._topics: dict[str, dict[str, int]] = {}
-        self._points: list[tuple[float, float]] = []
 
     def begin(self, names: Sequence[str]) -> None:
         """The signals that come, in their order; the layouts' names are made of theirs."""
@@ -98,10 +91,6 @@ class Topics:
             self._topics.setdefault(topic, {})[field] = place[source]
         for topic, fields in self._topics.items():
             self._open(topic, "number", sorted(fields))
-        if {"x", "y"} <= self._topics.get("/car", {}).keys():
-            kinds = self.sdk.channels
-            self.channels[POSE] = kinds.PoseInFrameChannel(POSE, context=self.context)
-            self.channels[DRIVEN] = kinds.PosesInFrameChannel(DRIVEN, context=self.context)
 
     def show(self, t: float, values: Sequence[float]) -> None:
         """One sample, at t [s]. Never waits for who looks; what is no number is null, as JSON has it."""
@@ -110,8 +99,6 @@ class Topics:
             if self.channels[topic].has_sinks():
                 row = {name: values[k] if math.isfinite(values[k]) else None for name, k in fields.items()}
                 self.channels[topic].log(row, log_time=when)
-        if POSE in self.channels:
-            self._show_scene(values, when)
 
     def note(self, topic: str, words: Mapping[str, str], t: float) -> None:
         """Words on a topic of their own, at t [s]."""
@@ -136,34 +123,6 @@ class Topics:
         if names:
             self.begin(names)
         self.show(sample.t, values)
-
-    def _show_scene(self, values: Sequence[float], when: int) -> None:
-        x, y, psi = (values[k] if k is not None else 0.0 for k in map(self._topics["/car"].get, ("x", "y", "psi")))
-        if not (math.isfinite(x) and math.isfinite(y)):
-            return
-        self._place(POSE, when, pose=self._pose(x, y, psi if math.isfinite(psi) else 0.0))
-        self._points.append((x, y))
-        if len(self._points) > 2 * MOST:
-            self._points = self._points[::2]
-        if time.monotonic() - self._shown_way >= self._every and self.channels[DRIVEN].has_sinks():
-            self._shown_way = time.monotonic()
-            self.show_way(when)
-
-    def show_way(self, when: int) -> None:
-        """The way that was driven so far, no more than MOST of its points or so, stamped `when` since 1970 [ns]."""
-        points = self._points[:: max(1, len(self._points) // MOST)]
-        self._place(DRIVEN, when, poses=[self._pose(x, y) for x, y in points])
-
-    def _pose(self, x: float, y: float, psi: float = 0.0) -> Any:
-        kinds = self.sdk.messages
-        turn = kinds.Quaternion(z=math.sin(psi / 2.0), w=math.cos(psi / 2.0))
-        return kinds.Pose(position=kinds.Vector3(x=x, y=y), orientation=turn)
-
-    def _place(self, topic: str, when: int, **what: Any) -> None:
-        kinds = self.sdk.messages
-        message = kinds.PosesInFrame if topic == DRIVEN else kinds.PoseInFrame
-        stamp = kinds.Timestamp(when // 10**9, when % 10**9)
-        self.channels[topic].log(message(timestamp=stamp, frame_id="map", **what), log_time=when)
 
     def _open(self, topic: str, kind: str, fields: Iterable[str]) -> None:
         title, properties = topic.strip("/").replace("/", "."), {name: {"type": kind} for name in fields}
@@ -199,34 +158,28 @@ class Server(Topics):
 
 
 def to_mcap(log: Log | Drive, file: str | Path) -> dict[str, int]:
-    """Write a log as MCAP with a topic a group (`/car`, `/path`, `/wheel`, `/signals/...`) in JSON, and `/scene/pose`,
-    `/scene/driven` in Foxglove's own kinds for its 3D panel; returns messages by topic.
+    """Write a log as MCAP with a topic a group (`/car`, `/path`, `/wheel`, `/signals/...`) in JSON; returns messages by
+    topic.
 
     Numbers come back bit for bit, NaN and infinity as null. Raises ValueError for a batch, and without foxglove-sdk.
     """
     record = log.to_log() if isinstance(log, Drive) else log
     columns = {name: values for name, values in record.columns().items() if name != "t"}
     require(not any("[" in name and name.startswith("car.") for name in columns), "export", "a batch of cars; save one")
-    topics = Topics(start=BEGIN, every=math.inf)
+    topics = Topics(start=BEGIN)
     with atomic_write(file) as draft, topics.sdk.open_mcap(draft, allow_overwrite=True, context=topics.context):
         topics.begin(list(columns))
         for t, *row in zip(record.t.tolist(), *(values.tolist() for values in columns.values())):
             topics.show(t, row)
-        if topics._points:
-            topics.show_way(BEGIN)
-    return dict.fromkeys([topic for topic in topics.channels if topic != DRIVEN], len(record.t))
+    return dict.fromkeys(topics.channels, len(record.t))
 
 
-def paced(each: Callable[[Sample], None], pace: float) -> Callable[[Sample], None]:
-    """The same, but no faster than `pace` times real time; it does not wait for anything but the time.
-
-    Raises ValueError for a pace that is no number above 0.
-    """
-    require(0.0 < pace < math.inf, "pace", f"{pace}, expected a number > 0: times real time")
+def paced(each: Callable[[Sample], None]) -> Callable[[Sample], None]:
+    """The same, but no faster than real time; it does not wait for anything but the time."""
     began = time.monotonic()
 
     def wrapped(sample: Sample) -> None:
         each(sample)
-        time.sleep(max(0.0, began + sample.t / pace - time.monotonic()))
+        time.sleep(max(0.0, began + sample.t - time.monotonic()))
 
     return wrapped

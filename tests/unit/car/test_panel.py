@@ -241,7 +241,7 @@ def test_snapshots_are_shown_under_the_names_of_the_layouts() -> None:
         begin=names.extend, show=lambda *row: rows.append(row), note=lambda *n: words.append(n[:2])
     )
     with pytest.raises(CarLost, match="has ended"):
-        stream(link, server, rate=200.0)
+        stream(link, server)
     assert [t for t, _ in rows] == [7.0, 7.1]
     now = dict(zip(names, rows[0][1], strict=True))
     shown = {name: now[source] for name, source in foxglove.shown_as(names).items()}
@@ -250,9 +250,3 @@ def test_snapshots_are_shown_under_the_names_of_the_layouts() -> None:
     assert {name: shown[name] for name in wanted} == wanted
     assert words == [("/state", {"mode": "OFF", "text": ""}), ("/state", {"mode": "ENGAGED", "text": "key e"})]
     assert link.requests == []
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), 1000.0])
-def test_a_rate_that_would_be_a_burden_is_refused(rate: float) -> None:
-    with pytest.raises(ValueError, match="expected more than 0, up to 200"):
-        stream(ReplayLink([]), None, rate=rate)

@@ -83,11 +83,6 @@ def test_a_broken_state_gives_nan_and_spares_the_others(tmp_path: Path) -> None:
         assert np.isnan(values).tolist() == [True, True, False]
 
 
-def test_single_precision_is_close(tmp_path: Path) -> None:
-    export_onnx(POLICIES[0], tmp_path / "p.onnx", single=True)
-    assert check_onnx(POLICIES[0], tmp_path / "p.onnx")["q"] < 1e-6
-
-
 def test_the_model_tells_its_columns_and_units(tmp_path: Path) -> None:
     export_onnx(POLICIES[0], tmp_path / "p.onnx")
     model = onnx.load(tmp_path / "p.onnx")

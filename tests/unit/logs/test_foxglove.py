@@ -7,11 +7,8 @@ import struct
 import sys
 import time
 import xml.etree.ElementTree as xml
-from base64 import b64decode
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Self
 
 import numpy as np
@@ -28,17 +25,6 @@ from tests.support.straight_road import PASSAT, looped
 pytest.importorskip("mcap")
 pytest.importorskip("foxglove")
 pytest.importorskip("websockets")
-
-
-def message_of(schema: Any, data: bytes) -> dict[str, Any]:
-    """A message by its schema (name, encoding, data): in JSON, or of Foxglove's own kinds."""
-    if schema.encoding == "jsonschema":
-        return dict(json.loads(data))
-    from google.protobuf import descriptor_pb2, json_format, message_factory
-
-    kinds = message_factory.GetMessages(descriptor_pb2.FileDescriptorSet.FromString(schema.data).file)
-    shown = json_format.MessageToDict(kinds[schema.name].FromString(data), always_print_fields_with_no_presence=True)
-    return dict(shown)
 
 
 PROTOCOL = "foxglove.sdk.v1"
@@ -87,11 +73,7 @@ class Client:
             return None
         operation, channel, when = struct.unpack_from("<BIQ", data)
         assert operation == 1
-        kind = self.channels[channel]
-        schema = SimpleNamespace(name=kind["schemaName"], encoding=kind["schemaEncoding"], data=kind["schema"])
-        if schema.encoding == "protobuf":
-            schema.data = b64decode(schema.data)
-        return kind["topic"], when, message_of(schema, data[13:])
+        return self.channels[channel]["topic"], when, json.loads(data[13:])
 
 
 def messages(file: Path) -> dict[str, list[tuple[int, Any]]]:
@@ -99,8 +81,8 @@ def messages(file: Path) -> dict[str, list[tuple[int, Any]]]:
 
     found: dict[str, list[tuple[int, Any]]] = {}
     with file.open("rb") as stream:
-        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
-            found.setdefault(channel.topic, []).append((message.log_time, message_of(schema, message.data)))
+        for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            found.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
     return found
 
 
@@ -117,15 +99,11 @@ def lap(loop: Loop) -> Log:
 def test_a_simulated_run_is_read_back_bit_for_bit(lap: Log, tmp_path: Path) -> None:
     counts = to_mcap(lap, tmp_path / "run.mcap")
     found = messages(tmp_path / "run.mcap")
-    assert set(counts) == set(found) - {"/scene/driven"}
+    assert set(counts) == set(found)
     for words in ("/path e path.e", "/car v car.v", "/wheel delta_sw car.delta_sw"):
         topic, field, signal = words.split()
         assert [values[field] for _, values in found[topic]] == lap[signal].tolist()
     assert [when for when, _ in found["/path"]] == [BEGIN + round(t * 1e9) for t in lap.t.tolist()]
-    pose = found["/scene/pose"][-1][1]["pose"]
-    assert (pose["position"]["x"], pose["position"]["y"]) == (lap["car.x"][-1], lap["car.y"][-1])
-    half = np.arctan2(pose["orientation"]["z"], pose["orientation"]["w"])
-    assert np.sin(2.0 * half) == pytest.approx(np.sin(lap["car.psi"][-1]))
 
 
 def test_the_layouts_show_what_is_there(lap: Log, tmp_path: Path) -> None:
@@ -158,18 +136,11 @@ def test_the_car_tells_before_the_motor_and_who_was_last_before_the_wheel() -> N
     assert shown["/signals/actuator/delta_sw"] == "actuator.delta_sw"
 
 
-def test_a_long_way_is_shown_with_fewer_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(foxglove, "MOST", 200)
-    x = np.arange(900.0)
+def test_what_is_no_number_is_null_as_json_has_it(tmp_path: Path) -> None:
+    x = np.arange(9.0)
     y = np.where(x == 3.0, np.nan, 0.0)
     to_mcap(Log(0.997 * x, {"x": x, "y": y}, {"x": "m", "y": "m"}), tmp_path / "a.mcap")
-    found = messages(tmp_path / "a.mcap")
-    assert [values["y"] for _, values in found["/car"][2:5]] == [0.0, None, 0.0], "null, as JSON has it"
-    ((when, shown),) = found["/scene/driven"]
-    way, stamp = shown["poses"], datetime.fromisoformat(shown["timestamp"])
-    assert (stamp - datetime.fromtimestamp(0.0, UTC)) // timedelta(microseconds=1) == when // 1000
-    assert foxglove.MOST <= len(way) <= 2 * foxglove.MOST
-    assert way[-1]["position"]["x"] > 890.0
+    assert [values["y"] for _, values in messages(tmp_path / "a.mcap")["/car"][2:5]] == [0.0, None, 0.0]
 
 
 def seen_by(each: Callable[[Sample], None]) -> Callable[[Sample], bool]:
@@ -186,7 +157,7 @@ def test_a_client_sees_the_drive_as_the_export_has_it_and_cannot_publish(loop: L
     from mcap.reader import make_reader
 
     log = simulate(loop, 3.0)
-    topics = to_mcap(log, tmp_path / "run.mcap").keys() | {"/scene/driven"}
+    topics = to_mcap(log, tmp_path / "run.mcap").keys()
     with (tmp_path / "run.mcap").open("rb") as file:
         exported = make_reader(file).get_summary()
     assert exported is not None
@@ -206,16 +177,15 @@ def test_a_client_sees_the_drive_as_the_export_has_it_and_cannot_publish(loop: L
         begin = known[1] + 100 * 10**9
         simulate(loop, 3.0, until=seen_by(server.sample))
         rows: dict[str, list[tuple[int, dict[str, Any]]]] = {}
-        while len(rows.get("/scene/pose", [])) < len(log.t):
+        while min(len(rows.get(topic, [])) for topic in topics) < len(log.t):
             message = client.next()
             assert message is not None
             topic, when, values = message
-            if when >= begin or topic == "/scene/driven":
+            if when >= begin:
                 rows.setdefault(topic, []).append((when - begin, values))
         for topic, field, name in (("/path", "e", "path.e"), ("/car", "v", "car.v"), ("/car", "x", "car.x")):
             assert [values[field] for _, values in rows[topic]] == log[name].tolist()
             assert [when for when, _ in rows[topic]] == [round(t * 1e9) for t in log.t.tolist()]
-        assert rows["/scene/driven"]
 
         mine = {"id": 9, "topic": "/path", "encoding": "json", "schemaName": ""}
         client.ask({"op": "advertise", "channels": [mine]})
@@ -242,16 +212,13 @@ def test_vectors_are_shown_number_by_number(monkeypatch: pytest.MonkeyPatch) -> 
     class Row(dict[str, Any]):
         t = 0.5
 
-    server, told = foxglove.Server("0"), list[Any]()
+    server = foxglove.Server("0")
     monkeypatch.setattr(foxglove.time, "time_ns", lambda: 1_800_000_000 * 10**9)
-    monkeypatch.setattr(server, "_place", lambda topic, when, pose: told.append((topic, when)))
     server.sample(Row({"car.x": 1.0, "car.y": np.nan, "car.two": np.array([[2.0, np.inf]])}))  # type: ignore[arg-type]
-    assert told == []  # a car that is nowhere has no pose
     assert {"/signals/car/two[0]", "/signals/car/two[1]"} <= {
         f"{topic}/{field}" for topic, fields in server._topics.items() for field in fields
     }
-    server.show(0.6, [1.0, 2.0, 3.0, 4.0])  # the first sample is stamped with the time of day
-    assert told == [("/scene/pose", 1_800_000_000_100_000_000)]
+    assert server._when(0.6) == 1_800_000_000_100_000_000  # the first sample is stamped with the time of day
     server.end()
 
 
@@ -267,7 +234,7 @@ def test_places() -> None:
     assert foxglove.place_of("[::1]:0") == ("::1", 0)
 
 
-def test_a_taken_port_a_missing_package_and_a_lonely_pace_teach(
+def test_a_taken_port_and_a_missing_package_teach(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     words = ("drive", "stanley", "--course", "circle", "--rounds", "0.03", "--out", str(tmp_path / "run"), "-q")
@@ -275,14 +242,10 @@ def test_a_taken_port_a_missing_package_and_a_lonely_pace_teach(
         port = str(other.getsockname()[1])
         assert run(*words, "--stream", port, monkeypatch=monkeypatch) == 2
     assert f"stream at {port}: Failed to bind port: Address already in use" in capsys.readouterr().err
-    assert run(*words, "--pace", "2", monkeypatch=monkeypatch) == 2
-    assert "--pace: is for --stream PORT" in capsys.readouterr().err
-    assert run(*words, "--stream", "0", "--pace", "nan", monkeypatch=monkeypatch) == 2
-    assert "pace: nan, expected a number > 0" in capsys.readouterr().err
     assert run("drive", "stanley", "--car", "dbw-kit.toml", "--stream", "0", monkeypatch=monkeypatch) == 2
     assert "`steerkit car stream` in a second terminal" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
-    assert run(*words, "--json", "--stream", "0", "--pace", "100", monkeypatch=monkeypatch) == 0
+    assert run(*words, "--json", "--stream", "0", monkeypatch=monkeypatch) == 0
     heard = capsys.readouterr()
     assert json.loads(heard.out)["controller"] == "stanley"
     assert "open a connection to ws://127.0.0.1:" in heard.err
