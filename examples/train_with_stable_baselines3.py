@@ -4,7 +4,7 @@
 
 Each agent learns in the Gymnasium environment, is turned into a block of plain arrays (no torch any more), written to
 a file, loaded again and driven one round in the usual steering loop; Stanley recovers when |e| > 0.5 m.
-`--quick` trains for half a minute of driving, to show that it runs; docs/measured.md has the results of the default.
+`--quick` trains for 20 s of driving, to show that it runs; docs/measured.md has the results of the default.
 No car was driven.
 Needs stable-baselines3 (extra `gym`).
 """
@@ -87,7 +87,7 @@ def judged(name: str, log: Log, rounds: float) -> str:
 def main(arguments: list[str] | None = None) -> None:
     """Train, save, load, drive, compare."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="600 samples: the agents learn nothing of use")
+    parser.add_argument("--quick", action="store_true", help="400 samples: the agents learn nothing of use")
     parser.add_argument("--steps", type=int, default=40_000, help="samples that each agent drives (20 a second)")
     parser.add_argument("--agents", nargs="*", default=[*AGENTS], choices=[*AGENTS])
     parser.add_argument("--course", default="paper", help="course to learn and to be judged on")
@@ -100,7 +100,7 @@ def main(arguments: list[str] | None = None) -> None:
         import stable_baselines3  # noqa: F401
     except ImportError:
         raise SystemExit("this example needs stable-baselines3; pip install 'steerkit-control[gym]'") from None
-    steps = 600 if options.quick else options.steps
+    steps = 400 if options.quick else options.steps
     folder = options.out or Path(tempfile.mkdtemp())
     folder.mkdir(parents=True, exist_ok=True)
     task = Task(course=options.course, conditions=options.conditions)

@@ -232,6 +232,7 @@ def test_the_search_finds_words_where_pages_are_opened_from_the_disk(tmp_path: P
         assert re.findall(r'search-result__meta">([^<]*)', dom.replace("\n", "")) == [found], word
 
 
+@pytest.mark.usefixtures("without_layout")
 @pytest.mark.parametrize("script", sorted((ROOT / "examples" / "gallery").glob("*.py")), ids=lambda script: script.stem)
 def test_gallery(
     script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -187,8 +187,8 @@ def test_a_page_for_users_leads_from_a_wheel_to_its_last_line(
 ) -> None:
     """Every Python block and shell line in its order, the long ones in the short forms of shell_lines.toml; the first
     page with nothing but the wheel, the others with the checkout, as all programs start faster there."""
-    zipfile.ZipFile(wheel).extractall(tmp_path)
-    alone = page == DOORS[0]
+    if alone := page == DOORS[0]:
+        zipfile.ZipFile(wheel).extractall(tmp_path)
     steps, reasons = table()
     faults, count = [], INSTALLING
     with tempfile.TemporaryDirectory(prefix="steerkit-") as name, contextlib.ExitStack() as stack:
