@@ -77,15 +77,13 @@ class Sensors(_Sensing):
     """Seed of the random numbers."""
 
     @classmethod
-    def hard(cls, seed: int = 0) -> Self:
-        """A demanding but ordinary set: RTK position drifting by 1 cm, heading by 0.1 deg, gyro noise, 50 ms late."""
-        drifts: Any = dict(position_drift=0.01, psi_drift=radians_of(0.1), drift_time=2.0)
-        return cls(**drifts, r_noise=radians_of(0.2), latency=0.05, seed=seed)
+    def hard(cls, seed: int = 0, size: float = 1.0) -> Self:
+        """A demanding but ordinary set: RTK position drifting by 1 cm, heading by 0.1 deg, gyro noise, 50 ms late.
 
-    def scaled(self, size: float) -> Self:
-        """The same with all noise and drift `size` times as large."""
-        names = ("position_noise", "position_drift", "psi_noise", "psi_drift", "v_noise", "beta_noise", "r_noise")
-        return replace(self, **{name: size * getattr(self, name) for name in names})
+        size: factor on noise and drift [1].
+        """
+        drifts: Any = dict(position_drift=size * 0.01, psi_drift=size * radians_of(0.1), drift_time=2.0)
+        return cls(**drifts, r_noise=size * radians_of(0.2), latency=0.05, seed=seed)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -188,22 +186,13 @@ class DegradedSensors(_Sensing):
         require_within(where, "age_jitter", self.age_jitter, "s", 0.0, self.dt, "at most dt")
 
     @classmethod
-    def real(cls, vehicle: Vehicle, seed: int = 0) -> Self:
+    def real(cls, vehicle: Vehicle, seed: int = 0, size: float = 1.0) -> Self:
         """A production car with a good satellite receiver: `Sensors.hard` with 0.05 m/s of noise on the wheels' speed,
         up to 20 ms of jitter, one sample in a hundred lost, jumps of 2 cm every 20 s, a heading that wanders by 0.2
-        degrees within minutes, sideslip unknown."""
-        faults: Any = dict(age_jitter=0.02, lost=0.01, jump=0.02, heading_drift=radians_of(0.2))
-        return cls(block=replace(Sensors.hard(seed), v_noise=0.05), rear=vehicle.l_r, **faults)
-
-    def scaled(self, size: float) -> Self:
-        """The same with all errors but the age `size` times as large; `lost` too, up to a half."""
-        return replace(
-            self,
-            block=self.block.scaled(size),
-            lost=min(0.5, size * self.lost),
-            jump=size * self.jump,
-            heading_drift=size * self.heading_drift,
-        )
+        degrees within minutes, sideslip unknown. size: factor on all errors but the age, of lost ones up to a half."""
+        faults: Any = dict(age_jitter=0.02, lost=min(0.5, size * 0.01), jump=size * 0.02)
+        block = replace(Sensors.hard(seed, size), v_noise=size * 0.05)
+        return cls(block=block, heading_drift=size * radians_of(0.2), rear=vehicle.l_r, **faults)
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero = m.filled(0.0, batch)

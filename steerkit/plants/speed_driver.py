@@ -3,10 +3,9 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from steerkit._support.errors import number, require, require_within
 from steerkit._support.random import normals, seed_state
@@ -113,19 +112,6 @@ class _Profile(Block):
         where = type(self).__name__
         require(np.ndim(self.speeds) == 1 and len(self.speeds) >= 2, where, "speeds, expected two numbers or more")
         require_within(where, "speeds", np.asarray(self.speeds), "m/s", 0.0, _FASTEST)
-
-    @classmethod
-    def from_samples(cls, at: ArrayLike, speeds: ArrayLike, *, spacing: float = 0.1, repeat: bool = False) -> Self:
-        """The driver of an unevenly spaced record: `speeds` [m/s] at rising `at`, made even every `spacing` or less.
-
-        `at` counts from its first entry. Raises ValueError for different lengths or an `at` that does not rise.
-        """
-        p, v = np.asarray(at, dtype=float), np.asarray(speeds, dtype=float)
-        rising = p.ndim == 1 and p.shape == v.shape and len(p) >= 2 and bool((np.diff(p) > 0.0).all())
-        require(rising, cls.__name__, f"at {p.shape} and speeds {v.shape}, expected equally long, at rising strictly")
-        require_within(cls.__name__, "spacing", spacing, "s or m", 1e-6, 1e6)
-        even = np.linspace(p[0], p[-1], 1 + max(1, math.ceil((p[-1] - p[0]) / spacing - 1e-9)))
-        return cls(speeds=tuple(np.interp(even, p, v).tolist()), spacing=float(even[1] - even[0]), repeat=repeat)
 
     @cached_property
     def _table(self) -> Table:

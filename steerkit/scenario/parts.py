@@ -258,7 +258,9 @@ class Driver(Part):
         if self.speed != "wander":
             s, v = self.profile(course, path)
             v = np.clip(v, self.v_min, self.v_max)
-            return SpeedProfile.from_samples(s, v, spacing=2.0, repeat=path.closed)
+            even = np.linspace(s[0], s[-1], 1 + max(1, math.ceil((s[-1] - s[0]) / 2.0 - 1e-9)))
+            speeds = tuple(np.interp(even, s, v).tolist())
+            return SpeedProfile(speeds=speeds, spacing=float(even[1] - even[0]), repeat=path.closed)
         driver = SpeedDriver(v_min=self.v_min, v_max=self.v_max, seed=seed)
         return CurveSpeedDriver(path=path, driver=driver, a_y_max=self.a_y_max)
 
@@ -380,12 +382,12 @@ class Sensing(Part):
         noise, latency = self.noise, self.latency
         biases: Any = dict(r_bias=radians_of(self.gyro_zero_deg), x_bias=self.bias)
         if self.kind == "real":
-            degraded = DegradedSensors.real(nominal, seed).scaled(noise)
+            degraded = DegradedSensors.real(nominal, seed, noise)
             return replace(degraded, block=replace(degraded.block, latency=latency, **biases))
         sideslip = self.kind == "hard"
         if not any((noise, latency, *biases.values())) and sideslip and self.estimator == "none":
             return None
-        hard = replace(Sensors.hard(seed).scaled(noise), latency=latency, **biases)
+        hard = replace(Sensors.hard(seed, noise), latency=latency, **biases)
         return hard if sideslip else DegradedSensors(block=hard, rear=nominal.l_r)
 
     def state_estimator(self, nominal: Vehicle) -> VehicleState | None:

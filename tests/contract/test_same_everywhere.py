@@ -129,7 +129,7 @@ def worn_steering_and_poor_sensors(seed: int, rng: np.random.Generator) -> Loop:
         link=SteeringLink(quantum=rng.uniform(0.001, 0.01), dead_band=0.012, jitter=0.04, seed=seed),
         actuator=SteeringActuator(delay=0.05),
         column=SteeringColumn(friction=0.01, play=0.03),
-        sensors=DegradedSensors.real(CAR, seed).scaled(3.0),
+        sensors=DegradedSensors.real(CAR, seed, 3.0),
     )
 
 

@@ -164,9 +164,9 @@ def test_the_real_ones() -> None:
     found = seen(sensors, standing(2000))
     assert found[:, 3].std() == pytest.approx(0.05, rel=0.1)
     assert found[:, 4] == pytest.approx(VW_PASSAT.l_r * found[:, 5] / found[:, 3])
-    silent = sensors.scaled(0.0)
+    silent = DegradedSensors.real(VW_PASSAT, 7, 0.0)
     assert seen(silent, standing(50))[:, [0, 1, 2, 3, 5]] == pytest.approx(standing(50)[:, [0, 1, 2, 3, 5]])
-    louder = sensors.scaled(3.0)
+    louder = DegradedSensors.real(VW_PASSAT, 7, 3.0)
     assert (louder.block.v_noise, louder.lost, louder.jump) == (pytest.approx(0.15), pytest.approx(0.03), 0.06)
 
 
