@@ -20,7 +20,6 @@ from scipy.optimize import brentq
 from steerkit._support.errors import require
 from steerkit.analysis.systems import FromControl as FromControl
 from steerkit.analysis.systems import Period, port_names, signal_name
-from steerkit.analysis.systems import Tap as Tap
 from steerkit.analysis.systems import to_control as to_control
 from steerkit.diagram.maths import Array
 from steerkit.diagram.units import degrees_of

@@ -152,13 +152,16 @@ class Wiring:
                 "or put a block with a state between"
             ) from None
 
-    def tick(self, due: Sequence[bool]) -> Any:
-        """One tick as a straight run of Python calls: nothing is looked up that can be known beforehand."""
-        lines = ["def tick(t, x, y):", "    pass"]
+    def tick(self, due: Sequence[bool], taps: Mapping[Place, str] = {}) -> Any:
+        """One tick as a straight run of Python calls: nothing is looked up that can be known beforehand.
+
+        taps: what all users of a place get in its stead, an expression of y and of u, the function's last argument.
+        """
+        lines = ["def tick(t, x, y, u=()):", "    pass"]
         scope: dict[str, Any] = {"nan": math.nan}
 
         def value(source: Place | None) -> str:
-            return "nan" if source is None else f"y[{source[0]}][{source[1]}]"
+            return "nan" if source is None else taps.get(source, f"y[{source[0]}][{source[1]}]")
 
         for call in self.calls:
             i = call.block
@@ -274,9 +277,7 @@ class Loop:
             for i, (name, block) in enumerate(self.blocks.items())
             for j, out in enumerate(block.outputs)
         }
-        patterns = [self.due(phase) for phase in range(self.period)]
-        ticks = {due: self._wiring.tick(due) for due in set(patterns)}
-        self._phases = [ticks[due] for due in patterns]
+        self._phases = self.phases()
 
     def port_name(self, port: Port) -> str:
         """`"car.v"` for `car.v`; raises KeyError when the block is not in this loop."""
@@ -370,6 +371,12 @@ class Loop:
         """Which blocks compute in a tick k with k % period == phase."""
         return tuple([phase % n == 0 for n in self.every])
 
+    def phases(self, taps: Mapping[Place, str] = {}) -> list[Any]:
+        """The ticks of a period as functions of t, x, y, and of what `taps` read; see `Wiring.tick`."""
+        patterns = [self.due(phase) for phase in range(self.period)]
+        ticks = {due: self._wiring.tick(due, taps) for due in set(patterns)}
+        return [ticks[due] for due in patterns]
+
     def run_phase(self, phase: int, t: Any, x: list[State], y: list[Values]) -> None:
         """A tick k with k % period == phase at time t, which may be a symbol: what `steerkit.compiled` traces."""
         self._phases[phase](t, x, y)
@@ -386,22 +393,6 @@ class Loop:
             wires=[(moved(a), moved(b)) for a, b in self.wires],
             dt=self.dt,
         )
-
-    def with_inserted(self, parts: Mapping[str, tuple[str, Block]]) -> "Loop":
-        """The same loop with blocks put into its wires: `{"car.v": ("noise", block)}`, behind car.v for all its users.
-
-        Each block has one input and one output, of the signal's unit; the new blocks come last.
-        """
-        blocks, wires = dict(self.blocks), list(self.wires)
-        for signal, (name, block) in parts.items():
-            i, j = self.locate(signal)
-            source = self._wiring.blocks[i]
-            spec = source.outputs[j]
-            before, behind = Port(block, block.inputs[0]), Port(block, block.outputs[0])
-            wires = [(behind, b) if a.block is source and a.spec.name == spec.name else (a, b) for a, b in wires]
-            wires.append((Port(source, spec), before))
-            blocks[name] = block
-        return Loop(blocks=blocks, wires=wires, dt=self.dt)
 
     def with_block_state(self, state: LoopState, name: str, x: State) -> LoopState:
         """`state` with one block's state replaced."""

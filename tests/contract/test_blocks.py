@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import steerkit
-from steerkit.analysis import FromControl, Tap
+from steerkit.analysis import FromControl
 from steerkit.car.loop import ExcursionPredictor
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
@@ -163,8 +163,6 @@ EXAMPLES = [
     ),
     Example(FromControl(system=control.ss([[0.5, 0.1], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.3]], 0.05))),
     Example(FromControl(system=control.nlsys(_pendulum, None, states=2, inputs=1, outputs=2), units={"u_0": "rad"})),
-    Example(Tap(unit="rad")),
-    Example(Tap(unit="rad", cut=True), blind=("u",)),
     Example(Supervisor(), blind=("e", "ready")),
     Example(Supervisor(), state=SupervisorState(1.0, 0.0, 0.0), blind=("recovery",)),
     *map(Example, (ExceptionGuard(block=Integrator()), ExceptionGuard(block=PathTracker(path=OVAL, preview_points=2)))),
@@ -473,7 +471,7 @@ def test_defaults_and_ranges_are_those_written_down() -> None:
     assert not changed, "\n".join(f'"{key}": {json.dumps(found.get(key))},' for key in changed)
 
 
-ELSEWHERE_RANGED = {"Corrected", "Tap", "GateLimits"}
+ELSEWHERE_RANGED = {"Corrected", "GateLimits"}
 """Classes whose ranges are those of others: two take their dt from what they belong to; a car's file has the gate's
 (tests/unit/car/test_config.py)."""
 
