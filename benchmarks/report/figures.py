@@ -15,7 +15,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from steerkit.plots.style import COLOURS, PALETTE, new_figure, save, style
+from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
 from steerkit.task import GOAL, TRIP
 
 WIDTH = 4.6
@@ -67,7 +67,7 @@ def svg(figure: Figure, words: str) -> str:
     serial = f"f{next(_SERIAL)}"
     buffer = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "steerkit"}):
-        save(figure, buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)

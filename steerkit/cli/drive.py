@@ -24,7 +24,6 @@ from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
 from steerkit.plots.animation import film_writer
 from steerkit.plots.drive import round_driven, rounds_driven
-from steerkit.plots.style import save
 from steerkit.scenario import Scenario, lateral
 from steerkit.scenario import drive as evaluate
 from steerkit.scenario.catalogue import CONTROLLERS
@@ -132,7 +131,7 @@ def driven(
         picture = round_driven(logs[names[0]], title=f"{names[0]} on {scenario.course.name}")
     else:
         picture = rounds_driven(logs, title=f"on {scenario.course.name}")
-    save(picture, place / "drive.png")
+    picture.savefig(place / "drive.png")
     console.print(evaluate.comparison(f"{rounds or scenario.course.rounds:g} round(s) of {scenario.course.name}", logs))
     if not quiet:
         if one and scenario.path().origin_deg:
@@ -233,7 +232,7 @@ def sweep(
     write_rows(place / "sweep.csv", found.columns, list(found.columns.values()))
     kept = f"{math.prod(map(len, found.values.values()))} drives: {place}/sweep.csv"
     if len(values) <= 2:
-        save(found.plot(), place / "sweep.png")
+        found.plot().savefig(place / "sweep.png")
         kept += f"; picture: {place}/sweep.png"
     shown = Table("best", *found.columns, title=f"{controller} on {scenario.course.name}")
     for metric, row in best.items():

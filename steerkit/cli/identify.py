@@ -22,7 +22,6 @@ from steerkit.identification.fit import intervals
 from steerkit.logs import read_drive
 from steerkit.logs import resimulate as again
 from steerkit.plants.steering_actuator import SteeringActuator, steering_of
-from steerkit.plots.style import save
 from steerkit.vehicles import scaled, vehicle
 from steerkit.vehicles import vehicle as vehicle_named
 
@@ -104,7 +103,7 @@ def identify(
         write_page(report, console, f"{identified.vehicle.name}, identified", verdict, figures)
         console.print(f"report: {report}", soft_wrap=True)
     if plot is not None:
-        save(identified.plot(prediction), plot)
+        identified.plot(prediction).savefig(plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if as_json:
         fits = {"fit": identified.fit} | ({"held_out": prediction} if prediction else {})
@@ -204,7 +203,7 @@ def resimulate(
     if not as_json or report is not None:
         _compare(console, driven)
     if plot is not None:
-        save(again.compared(*driven), plot)
+        again.compared(*driven).savefig(plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if report is not None:
         verdict = [one.verdict() for one in driven]

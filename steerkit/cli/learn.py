@@ -34,7 +34,6 @@ from steerkit.learning.settings import BANG_BANG, DEFAULT, changed
 from steerkit.learning.settings import setting as named
 from steerkit.logs import ColumnMap, read_drive
 from steerkit.plots import drive as figures
-from steerkit.plots.style import save
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.task import DT
@@ -320,7 +319,7 @@ def demo(
         title = f"{name}: final net and Stanley"
         pictures[f"round-{_slug(name)}.png"] = figures.round_driven(*logs.values(), title=title)
     for name, figure in pictures.items():
-        save(figure, out / name)
+        figure.savefig(out / name)
     if not quiet:
         console.print(f"pictures: {', '.join(pictures)} in {out}", soft_wrap=True)
 

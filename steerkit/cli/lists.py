@@ -19,7 +19,6 @@ from steerkit.paths import importers
 from steerkit.paths.courses import course, names
 from steerkit.paths.path import Path as CoursePath
 from steerkit.plots.drive import plot_course
-from steerkit.plots.style import save
 from steerkit.vehicles import VEHICLES, FleetCar, Vehicle, fleet
 from steerkit.vehicles import vehicle as vehicle_named
 
@@ -72,7 +71,7 @@ def _of_file(file: str, to: Path | None, plot: Path | None, vehicle: str, as_jso
     if to is not None:
         made.to_csv(str(to))
     if plot is not None:
-        save(plot_course(made.path), plot)
+        plot_course(made.path).savefig(plot)
     row, speeds = _of_path(made.path.name, made.path), list[str]()
     for key, values, what in (("v", made.v, "as driven"), ("v_limit", made.v_limit, "allowed")):
         row[key] = None if values is None else [float(np.nanmin(values)), float(np.nanmax(values))]

@@ -21,7 +21,7 @@ from steerkit.logs import RawLog, drive_of, read_drive, read_log
 from steerkit.logs.channels import Channel, ColumnMap, candidates
 from steerkit.logs.drive import Drive
 from steerkit.plots.diagram import telling
-from steerkit.plots.style import COLOURS, new_figure, save, styled
+from steerkit.plots.style import COLOURS, new_figure, styled
 
 Dbc = Annotated[
     list[str] | None,
@@ -58,7 +58,7 @@ def log(
     more += ["--steer-ratio", f"{steer_ratio:g}"] if steer_ratio else []
     _report(console, found, shlex.join([*files, *more]))
     if plot is not None:
-        save(picture(found), plot)
+        picture(found).savefig(plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if as_json:
         rows = [{k: v if v == v else None for k, v in row.items()} for row in found.rows]
@@ -106,7 +106,7 @@ def plot(
     """Plot signals of a log over time."""
     drawn = out or (log / "signals.png" if log.is_dir() else log.with_name(f"{log.stem}-signals.png"))
     record = record_of(log)
-    save(record.plot(*(signals or telling(record))), drawn)
+    record.plot(*(signals or telling(record))).savefig(drawn)
     if not quiet:
         print(f"{record!r}\npicture: {drawn}")
 

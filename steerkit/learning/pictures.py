@@ -28,7 +28,7 @@ from steerkit.learning.nfq.rprop import forward
 from steerkit.paths.path import Path
 from steerkit.plots.animation import animate, film_writer
 from steerkit.plots.drive import round_driven, shade_recovery
-from steerkit.plots.style import COLOURS, new_figure, save, styled
+from steerkit.plots.style import COLOURS, new_figure, styled
 from steerkit.scenario import Scenario
 from steerkit.task import GOAL, TRIP
 
@@ -299,7 +299,7 @@ def draw_all(place: str | FilePath, out: str | FilePath | None = None) -> list[F
     files = []
     for name, draw in figures.items():
         files.append(folder / f"{name}.png")
-        save(draw(), files[-1])
+        draw().savefig(files[-1])
     return files
 
 

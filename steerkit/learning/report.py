@@ -23,7 +23,6 @@ from steerkit.learning.experiment import Experiment, LearningRun, Watcher
 from steerkit.learning.learn import learn
 from steerkit.learning.pictures import beside_the_data
 from steerkit.plots.drive import learning, round_driven
-from steerkit.plots.style import save
 from steerkit.scenario import drive as evaluate
 
 LAST = 10.0
@@ -231,7 +230,7 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
         )
         console.print(f"this drive's {apart}", soft_wrap=True, highlight=False)
     for file, figure in pictures.items():
-        save(figure, place / f"{file}.png")
+        figure.savefig(place / f"{file}.png")
     if not quiet:
         console.print(f"pictures: {', '.join(f'{place}/{file}.png' for file in pictures)}", soft_wrap=True)
     return merit | far | {"drives": [evaluate.row_of(name, log) for name, log in logs.items()]}

@@ -48,24 +48,10 @@ styled = style()
 """A decorator: the function draws in that style."""
 
 
-def save(figure: "Figure", file: Any, **options: Any) -> None:
-    """Write a figure laid out once; `figure.savefig` lays it out and draws it twice, which takes twice as long."""
-    engine, dpi = figure.get_layout_engine(), figure.dpi
-    try:
-        if engine is not None:
-            figure.dpi = options.get("dpi", dpi)  # letters are as wide as they will be
-            engine.execute(figure)
-            figure.set_layout_engine(None)
-        figure.savefig(file, **options)
-    finally:
-        figure.dpi = dpi
-        figure.set_layout_engine(engine)
-
-
 def png(figure: Any, dpi: int = DPI) -> bytes:
     """A figure as the bytes of a PNG file."""
     stream = io.BytesIO()
-    save(figure, stream, format="png", dpi=dpi)
+    figure.savefig(stream, format="png", dpi=dpi)
     return stream.getvalue()
 
 
