@@ -36,147 +36,6 @@ class Call:
     """The numbers of the outputs that are meant, which can be had without the unknown inputs; none: all are known."""
 
 
-class Wiring:
-    """Named blocks and the wires between them, checked; what `steerkit.diagram.loop.Loop` runs.
-
-    source: the place that drives each input, by (number of the block, name of the input). calls: the order of the
-    `output` calls in a tick. Raises WiringError as `Loop` says.
-    """
-
-    def __init__(self, blocks: Mapping[str, Block], wires: Sequence[Wire]):
-        _check_blocks(blocks)
-        self.blocks = tuple(blocks.values())
-        self.names = tuple(blocks)
-        self._index = {id(block): i for i, block in enumerate(self.blocks)}
-        self.wires = tuple(self._checked(wire) for wire in wires)
-        self.source = self._sources()
-        self.calls = self._schedule()
-
-    def port_name(self, port: Port) -> str:
-        """`"car.v"` for `car.v`; raises KeyError when the block is not in this loop."""
-        if id(port.block) not in self._index:
-            raise KeyError(f"{port!r} belongs to a block that is not in this loop (blocks: {', '.join(self.names)})")
-        return f"{self.names[self._index[id(port.block)]]}.{port.spec.name}"
-
-    def _label(self, port: Port) -> str:
-        return f"{self.port_name(port)} [{port.spec.unit}]"
-
-    def _checked(self, wire: Any) -> Wire:
-        if not (isinstance(wire, tuple) and len(wire) == 2 and all(isinstance(p, Port) for p in wire)):
-            raise WiringError(f"wire {wire!r}: expected a pair of ports such as (car.v, stanley.v)")
-        a, b = wire
-        for port in wire:
-            if id(port.block) not in self._index:
-                raise WiringError(
-                    f"wire {a!r} -> {b!r}: {type(port.block).__name__} is not in the loop; "
-                    f"blocks: {', '.join(self.names)}"
-                )
-        text = f"wire {self._label(a)} -> {self._label(b)}"
-        if not isinstance(a.spec, Out) or not isinstance(b.spec, In):
-            raise WiringError(f"{text}: a wire goes from an output to an input, here {a.spec.kind} to {b.spec.kind}")
-        if a.spec.unit != b.spec.unit:
-            raise WiringError(f"{text}: units differ")
-        if a.size != b.size:
-            raise WiringError(f"{text}: sizes differ ({a.size or 'scalar'} and {b.size or 'scalar'})")
-        return a, b
-
-    def _sources(self) -> dict[tuple[int, str], Place]:
-        source: dict[tuple[int, str], Place] = {}
-        labels: dict[tuple[int, str], str] = {}
-        for a, b in self.wires:
-            key = (self._index[id(b.block)], b.spec.name)
-            if key in source:
-                raise WiringError(f"{self._label(b)} has two sources: {labels[key]} and {self._label(a)}")
-            outputs = [out.name for out in a.block.outputs]
-            source[key] = (self._index[id(a.block)], outputs.index(a.spec.name))
-            labels[key] = self._label(a)
-        for i, block in enumerate(self.blocks):
-            for port in block.inputs:
-                if (i, port.name) not in source:
-                    named = zip(self.names, self.blocks)
-                    fit = [f"{name}.{out.name}" for name, b in named for out in b.outputs if out.unit == port.unit]
-                    raise WiringError(
-                        f"{self.names[i]}.{port.name} [{port.unit}] is not driven; "
-                        f"outputs with that unit: {', '.join(fit) or 'none'}"
-                    )
-        return source
-
-    def _schedule(self) -> tuple[Call, ...]:
-        """Order of the `output` calls. A block that feeds itself through outputs that do not depend on the input
-        in question is called twice: first for those outputs (its unknown inputs are NaN), then for all."""
-        self._check_algebraic_loops()
-        known: set[Place] = set()
-        calls: list[Call] = []
-        waiting = list(range(len(self.blocks)))
-
-        def sources(i: int) -> list[Place]:
-            return [self.source[i, p.name] for p in self.blocks[i].inputs if p.direct]
-
-        def early(i: int) -> list[int]:
-            """Outputs of i that can be had now and are not yet."""
-            block = self.blocks[i]
-            return [
-                j
-                for j, out in enumerate(block.outputs)
-                if out.direct is not None
-                and (i, j) not in known
-                and all(self.source[i, p.name] in known for p in out.direct if p.direct)
-            ]
-
-        while waiting:
-            i = next((i for i in waiting if all(s in known for s in sources(i))), None)
-            if i is not None:
-                waiting.remove(i)
-                calls.append(Call(i, tuple(sources(i))))
-                known.update((i, j) for j in range(len(self.blocks[i].outputs)))
-            else:
-                i = next(i for i in waiting if early(i))
-                had = tuple(s if s in known else None for s in sources(i))
-                calls.append(Call(i, had, tuple(early(i))))
-                known.update((i, j) for j in calls[-1].early)
-        return tuple(calls)
-
-    def _check_algebraic_loops(self) -> None:
-        graph: dict[str, list[str]] = {}
-        for (i, name), (j, out) in self.source.items():
-            graph[f"{self.names[i]}.{name}"] = [f"{self.names[j]}.{self.blocks[j].outputs[out].name}"]
-        for name, block in zip(self.names, self.blocks):
-            for port in block.outputs:
-                direct = block.inputs if port.direct is None else port.direct
-                graph[f"{name}.{port.name}"] = [f"{name}.{p.name}" for p in direct if p.direct]
-        try:
-            graphlib.TopologicalSorter(graph).prepare()
-        except graphlib.CycleError as error:
-            raise WiringError(
-                f"algebraic loop: {' -> '.join(error.args[1])}; make one of these inputs direct=False, "
-                "or put a block with a state between"
-            ) from None
-
-    def tick(self, due: Sequence[bool], taps: Mapping[Place, str] = {}) -> Any:
-        """One tick as a straight run of Python calls: nothing is looked up that can be known beforehand.
-
-        taps: what all users of a place get in its stead, an expression of y and of u, the function's last argument.
-        """
-        lines = ["def tick(t, x, y, u=()):", "    pass"]
-        scope: dict[str, Any] = {"nan": math.nan}
-
-        def value(source: Place | None) -> str:
-            return "nan" if source is None else taps.get(source, f"y[{source[0]}][{source[1]}]")
-
-        for call in self.calls:
-            i = call.block
-            if due[i]:
-                args = ", ".join(value(s) for s in call.sources)
-                lines.append(f"    y[{i}] = output{i}(t, x[{i}], D{i}({args}))")
-        for i, block in enumerate(self.blocks):
-            scope |= {f"output{i}": block.output, f"update{i}": block.update, f"D{i}": block.D, f"U{i}": block.U}
-            if due[i]:
-                args = ", ".join(value(self.source[i, p.name]) for p in block.inputs)
-                lines.append(f"    x[{i}] = update{i}(t, x[{i}], U{i}({args}), y[{i}])")
-        exec("\n".join(lines), scope)
-        return scope["tick"]
-
-
 def _check_blocks(blocks: Mapping[str, Block]) -> None:
     if not blocks:
         raise WiringError("a loop needs at least one block")
@@ -267,8 +126,14 @@ class Loop:
     """
 
     def __init__(self, *, blocks: Mapping[str, Block], wires: Sequence[Wire], dt: float | None = None):
-        self._wiring = Wiring(blocks, wires)
-        self.blocks, self.names, self.wires = dict(blocks), self._wiring.names, self._wiring.wires
+        _check_blocks(blocks)
+        self.blocks, self._blocks, self.names = dict(blocks), tuple(blocks.values()), tuple(blocks)
+        self._index = {id(block): i for i, block in enumerate(self._blocks)}
+        self.wires = tuple(self._checked(wire) for wire in wires)
+        self._source = self._sources()
+        """The place that drives each input, by (number of the block, name of the input)."""
+        self._calls = self._schedule()
+        """The `output` calls of a tick, in their order."""
         self.dt, self.every = base_step(self.blocks, dt)
         self.period = math.lcm(*self.every)
         self.units = {f"{name}.{out.name}": out.unit for name, block in self.blocks.items() for out in block.outputs}
@@ -281,7 +146,127 @@ class Loop:
 
     def port_name(self, port: Port) -> str:
         """`"car.v"` for `car.v`; raises KeyError when the block is not in this loop."""
-        return self._wiring.port_name(port)
+        if id(port.block) not in self._index:
+            raise KeyError(f"{port!r} belongs to a block that is not in this loop (blocks: {', '.join(self.names)})")
+        return f"{self.names[self._index[id(port.block)]]}.{port.spec.name}"
+
+    def _label(self, port: Port) -> str:
+        return f"{self.port_name(port)} [{port.spec.unit}]"
+
+    def _checked(self, wire: Any) -> Wire:
+        if not (isinstance(wire, tuple) and len(wire) == 2 and all(isinstance(p, Port) for p in wire)):
+            raise WiringError(f"wire {wire!r}: expected a pair of ports such as (car.v, stanley.v)")
+        a, b = wire
+        for port in wire:
+            if id(port.block) not in self._index:
+                raise WiringError(
+                    f"wire {a!r} -> {b!r}: {type(port.block).__name__} is not in the loop; "
+                    f"blocks: {', '.join(self.names)}"
+                )
+        text = f"wire {self._label(a)} -> {self._label(b)}"
+        if not isinstance(a.spec, Out) or not isinstance(b.spec, In):
+            raise WiringError(f"{text}: a wire goes from an output to an input, here {a.spec.kind} to {b.spec.kind}")
+        if a.spec.unit != b.spec.unit:
+            raise WiringError(f"{text}: units differ")
+        if a.size != b.size:
+            raise WiringError(f"{text}: sizes differ ({a.size or 'scalar'} and {b.size or 'scalar'})")
+        return a, b
+
+    def _sources(self) -> dict[tuple[int, str], Place]:
+        source: dict[tuple[int, str], Place] = {}
+        labels: dict[tuple[int, str], str] = {}
+        for a, b in self.wires:
+            key = (self._index[id(b.block)], b.spec.name)
+            if key in source:
+                raise WiringError(f"{self._label(b)} has two sources: {labels[key]} and {self._label(a)}")
+            outputs = [out.name for out in a.block.outputs]
+            source[key] = (self._index[id(a.block)], outputs.index(a.spec.name))
+            labels[key] = self._label(a)
+        for i, block in enumerate(self._blocks):
+            for port in block.inputs:
+                if (i, port.name) not in source:
+                    named = zip(self.names, self._blocks)
+                    fit = [f"{name}.{out.name}" for name, b in named for out in b.outputs if out.unit == port.unit]
+                    raise WiringError(
+                        f"{self.names[i]}.{port.name} [{port.unit}] is not driven; "
+                        f"outputs with that unit: {', '.join(fit) or 'none'}"
+                    )
+        return source
+
+    def _schedule(self) -> tuple[Call, ...]:
+        """Order of the `output` calls. A block that feeds itself through outputs that do not depend on the input
+        in question is called twice: first for those outputs (its unknown inputs are NaN), then for all."""
+        self._check_algebraic_loops()
+        known: set[Place] = set()
+        calls: list[Call] = []
+        waiting = list(range(len(self._blocks)))
+
+        def sources(i: int) -> list[Place]:
+            return [self._source[i, p.name] for p in self._blocks[i].inputs if p.direct]
+
+        def early(i: int) -> list[int]:
+            """Outputs of i that can be had now and are not yet."""
+            block = self._blocks[i]
+            return [
+                j
+                for j, out in enumerate(block.outputs)
+                if out.direct is not None
+                and (i, j) not in known
+                and all(self._source[i, p.name] in known for p in out.direct if p.direct)
+            ]
+
+        while waiting:
+            i = next((i for i in waiting if all(s in known for s in sources(i))), None)
+            if i is not None:
+                waiting.remove(i)
+                calls.append(Call(i, tuple(sources(i))))
+                known.update((i, j) for j in range(len(self._blocks[i].outputs)))
+            else:
+                i = next(i for i in waiting if early(i))
+                had = tuple(s if s in known else None for s in sources(i))
+                calls.append(Call(i, had, tuple(early(i))))
+                known.update((i, j) for j in calls[-1].early)
+        return tuple(calls)
+
+    def _check_algebraic_loops(self) -> None:
+        graph: dict[str, list[str]] = {}
+        for (i, name), (j, out) in self._source.items():
+            graph[f"{self.names[i]}.{name}"] = [f"{self.names[j]}.{self._blocks[j].outputs[out].name}"]
+        for name, block in zip(self.names, self._blocks):
+            for port in block.outputs:
+                direct = block.inputs if port.direct is None else port.direct
+                graph[f"{name}.{port.name}"] = [f"{name}.{p.name}" for p in direct if p.direct]
+        try:
+            graphlib.TopologicalSorter(graph).prepare()
+        except graphlib.CycleError as error:
+            raise WiringError(
+                f"algebraic loop: {' -> '.join(error.args[1])}; make one of these inputs direct=False, "
+                "or put a block with a state between"
+            ) from None
+
+    def _tick(self, due: Sequence[bool], taps: Mapping[Place, str] = {}) -> Any:
+        """One tick as a straight run of Python calls: nothing is looked up that can be known beforehand.
+
+        taps: what all users of a place get in its stead, an expression of y and of u, the function's last argument.
+        """
+        lines = ["def tick(t, x, y, u=()):", "    pass"]
+        scope: dict[str, Any] = {"nan": math.nan}
+
+        def value(source: Place | None) -> str:
+            return "nan" if source is None else taps.get(source, f"y[{source[0]}][{source[1]}]")
+
+        for call in self._calls:
+            i = call.block
+            if due[i]:
+                args = ", ".join(value(s) for s in call.sources)
+                lines.append(f"    y[{i}] = output{i}(t, x[{i}], D{i}({args}))")
+        for i, block in enumerate(self._blocks):
+            scope |= {f"output{i}": block.output, f"update{i}": block.update, f"D{i}": block.D, f"U{i}": block.U}
+            if due[i]:
+                args = ", ".join(value(self._source[i, p.name]) for p in block.inputs)
+                lines.append(f"    x[{i}] = update{i}(t, x[{i}], U{i}({args}), y[{i}])")
+        exec("\n".join(lines), scope)
+        return scope["tick"]
 
     def locate(self, key: str | Port) -> tuple[int, int]:
         """(number of the block, number of its output) of a signal: `y[i][j]` is its value.
@@ -296,12 +281,12 @@ class Loop:
     def inputs_of(self, name: str) -> dict[str, str]:
         """The signal that drives each input of a block, in the block's order: `{"e": "path.e", ...}`."""
         i, block = self._number(name), self.blocks[name]
-        return {port.name: self._signal(self._wiring.source[i, port.name]) for port in block.inputs}
+        return {port.name: self._signal(self._source[i, port.name]) for port in block.inputs}
 
     @property
     def order(self) -> tuple[str, ...]:
         """The blocks in the order in which all of their direct inputs are known within a tick."""
-        return tuple(self.names[call.block] for call in self._wiring.calls if not call.early)
+        return tuple(self.names[call.block] for call in self._calls if not call.early)
 
     def sample(self, state: LoopState) -> Sample:
         """The outputs that a state holds: those of the tick before it, or of the first one in a state of `init`."""
@@ -348,7 +333,7 @@ class Loop:
         For a block that begins anew in a loop that goes on: `x[i] = loop.settled("controller", y)`.
         """
         i, block = self._number(name), self.blocks[name]
-        sources = [self._wiring.source[i, port.name] for port in block.inputs if port.direct]
+        sources = [self._source[i, port.name] for port in block.inputs if port.direct]
         return block.settle(0.0, block.init(), block.D(*[y[a][b] for a, b in sources]))
 
     def step(self, state: LoopState) -> tuple[LoopState, Sample]:
@@ -372,9 +357,9 @@ class Loop:
         return tuple([phase % n == 0 for n in self.every])
 
     def phases(self, taps: Mapping[Place, str] = {}) -> list[Any]:
-        """The ticks of a period as functions of t, x, y, and of what `taps` read; see `Wiring.tick`."""
+        """The ticks of a period as functions of t, x, y, and of what `taps` read; see `_tick`."""
         patterns = [self.due(phase) for phase in range(self.period)]
-        ticks = {due: self._wiring.tick(due, taps) for due in set(patterns)}
+        ticks = {due: self._tick(due, taps) for due in set(patterns)}
         return [ticks[due] for due in patterns]
 
     def run_phase(self, phase: int, t: Any, x: list[State], y: list[Values]) -> None:
@@ -402,7 +387,7 @@ class Loop:
     def save_state(self, state: LoopState, file: str | FilePath) -> None:
         """Write a loop state to a NumPy .npz file, bit for bit."""
         arrays = {"k": np.array(state.k)}
-        for name, block, x, y in zip(self.names, self._wiring.blocks, state.x, state.y):
+        for name, block, x, y in zip(self.names, self._blocks, state.x, state.y):
             arrays[f"x.{name}"] = _packed(x)
             arrays |= {f"y.{name}.{out.name}": _packed(value) for out, value in zip(block.outputs, y)}
         write_npz(file, arrays)
@@ -432,7 +417,7 @@ class Loop:
 
     def _signal(self, place: Place) -> str:
         i, j = place
-        return f"{self.names[i]}.{self._wiring.blocks[i].outputs[j].name}"
+        return f"{self.names[i]}.{self._blocks[i].outputs[j].name}"
 
     @functools.cached_property
     def _rounds(self) -> int:
@@ -442,7 +427,7 @@ class Loop:
 
     def _started(self, shape: tuple[int, ...], x: Sequence[State] | None) -> tuple[LoopState, int]:
         """The settled state, and how often all blocks had to settle."""
-        start = [block.init(shape) for block in self._wiring.blocks] if x is None else list(x)
+        start = [block.init(shape) for block in self._blocks] if x is None else list(x)
         cars = shape if x is None else None  # states that are given say themselves of how many cars they are
         for (name, block), state in zip(self.blocks.items(), start):
             check_state(name, block, state, "init", cars)
@@ -466,8 +451,8 @@ class Loop:
         """All blocks settled from their states `start`, their outputs, and the first output, by name, that was handed
         on as of the states `before` and is another one now."""
         x, y, early = list(start), list[Any]([None] * len(start)), dict[Place, Any]()
-        for call in self._wiring.calls:
-            i, block, name = call.block, self._wiring.blocks[call.block], self.names[call.block]
+        for call in self._calls:
+            i, block, name = call.block, self._blocks[call.block], self.names[call.block]
             u = block.D(*[math.nan if s is None else y[s[0]][s[1]] for s in call.sources])
             if not call.early:
                 x[i] = block.settle(0.0, x[i], u)
@@ -480,7 +465,7 @@ class Loop:
         return x, y, self._signal(changed[0]) if changed else ""
 
     def _check_independence(self, call: Call, y: Any, u: Any) -> None:
-        name, block = self.names[call.block], self._wiring.blocks[call.block]
+        name, block = self.names[call.block], self._blocks[call.block]
         unknown = {field for field, s in zip(u._fields, call.sources) if s is None}
         for out, value in zip(block.outputs, y):
             independent = out.direct is not None and not unknown & {p.name for p in out.direct}
