@@ -244,17 +244,14 @@ class Identified:
         return said
 
     def plot(self, held_out: Prediction | None = None) -> Any:
-        """Yaw rate, residual and speed over time, the held-out drive after the fitted one; beside them a scatter plot.
-
-        A matplotlib figure.
-        """
+        """Yaw rate, residual and speed over time, the held-out drive after the fitted one: a matplotlib figure."""
         parts = [(self.fit, "fitted", COLOURS["learned"])]
         if held_out is not None:
             parts.append((held_out, "held out", COLOURS["analytic"]))
         pause = _PAUSE * sum(part.drive.t[-1] for part, _, _ in parts)
         with style():
             title = f"{self.vehicle.name}: yaw rate from steering wheel and speed alone"
-            figure, (cloud, rate, left, speed) = new_figure(3, map_beside=True, title=title)
+            figure, (rate, left, speed) = new_figure(3, title=title)
             start = 0.0
             for part, word, colour in parts:
                 drive = part.drive
@@ -265,21 +262,10 @@ class Identified:
                 rate.plot(t, part.r, color=colour, lw=0.8, label=f"predicted, {word}")
                 left.plot(t, 1e3 * error, color=colour, lw=0.6, label=f"{word}: RMS {1e3 * part.rms:.2f} mrad/s")
                 speed.plot(t, drive.v, color=colour, lw=1.0)
-                use = drive.driving
-                cloud.plot(drive.r[use], part.r[use], ".", color=colour, ms=1.2, alpha=0.5, rasterized=True)
                 start = t[-1] + pause
             if held_out is not None:
                 again = f"zero of the wheel found again: {1e3 * held_out.rms_rezeroed:.2f} mrad/s"
                 left.plot([], [], " ", label=again)
-            reach = 1.05 * max(float(np.abs(part.drive.r).max()) for part, _, _ in parts)
-            cloud.plot([-reach, reach], [-reach, reach], color=COLOURS["ink"], lw=0.6)
-            cloud.set(
-                aspect="equal",
-                xlabel="measured yaw rate [rad/s]",
-                ylabel="predicted yaw rate [rad/s]",
-                xlim=(-reach, reach),
-                ylim=(-reach, reach),
-            )
             left.axhline(0.0, color=COLOURS["ink"], lw=0.6)
             rate.set_ylabel("yaw rate [rad/s]")
             left.set_ylabel("measured - predicted\n[mrad/s]")
