@@ -119,15 +119,10 @@ class CarConfig:
     def _frames_of(self, names: set[str]) -> frozenset[int]:
         return frozenset(reader.frame_id for reader in self.readers if reader.mappings.keys() & names)
 
-    @property
-    def limits(self) -> dict[str, float]:
-        """Every limit by the key that it has in the file, in SI."""
-        values = asdict(self.gate) | asdict(self.states) | asdict(self.motion)
-        return {key: values[f.name] for key, f in LIMITS.items()}
-
     def summary(self) -> list[str]:
         """What will be read and written, one line each."""
         w, never = self.writer, " NEVER: listen only" if self.listen_only else ""
+        values = asdict(self.gate) | asdict(self.states) | asdict(self.motion)
         rest = {"enable": w.enable, "clear": w.clear, "counter": w.counter, "CRC": w.crc}
         lines = [
             f"bus      {', '.join(f'{k} = {v!r}' for k, v in self.bus.items())}",
@@ -152,8 +147,8 @@ class CarConfig:
             f"           {_listed(rest)}; fixed {dict(w.fixed)}",
             f"kit      lag {self.lag:g} s, delay {self.delay:g} s, for controllers that predict",
             *(
-                f"limit    {key} = {degrees_of(value) if _is_angle(LIMITS[key]) else value:g}"
-                for key, value in self.limits.items()
+                f"limit    {key} = {degrees_of(values[f.name]) if _is_angle(f) else values[f.name]:g}"
+                for key, f in LIMITS.items()
             ),
         ]
 

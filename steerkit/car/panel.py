@@ -14,7 +14,7 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any, Self
 
@@ -63,7 +63,7 @@ STREAMED = 0.05
 class Panel:
     """Shows who steers and why, and turns keys into orders; unless the session is `live` it prints transitions only.
 
-    session: with `socket`, `timing`, `asked`, `learner_steers`, `adapted`, `filtered`, `corrections`, `watched`,
+    session: with `socket`, `timing`, `asked`, `learner_steers`, `adapted`, `filtered`, `watched`,
     `signals`, which came since and let go, and `ending`, which ends the drive: so does a panel that breaks, as no key
     could disengage any more, and one whose parent has ended.
     more: a line of text of somebody else, and what it is about. own: keys of somebody else, which order nothing.
@@ -204,7 +204,7 @@ class Panel:
             *(("warning" if s.mode is Mode.ENGAGED else "against", line) for line in against),
             ("refused", said),
             ("believed", here.adapted and adapted_line(here.adapted)),
-            ("filter", here.filtered and filter_line(here.filtered, here.corrections)),
+            ("filter", here.filtered and filter_line(here.filtered)),
             (self.about, self.more and self.more()),
             *here.watched.rows(),
         ]
@@ -243,12 +243,11 @@ def adapted_line(told: Adapted) -> str:
     return f"dead time {told.delay:.3f} s, steering ratio {told.ratio:.3f} times the data sheet's"
 
 
-def filter_line(last: Filtered, corrections: Collection[bool]) -> str:
-    """What the safety filter did last, how often it changed a command in the last minute, and what it doubts more."""
+def filter_line(last: Filtered) -> str:
+    """What the safety filter did last, and what it doubts more."""
     share = f", {100.0 * last.share:.0f} % backup" if 0.0 < last.share < 1.0 else ""
-    often = f"; changed {100.0 * sum(corrections) / len(corrections):.1f} % of the last minute" if corrections else ""
     beyond = f"; {found}" if (found := doubted(last.late, last.widened)) else ""
-    return f"{said(last.reason)}{share}, reach {last.reach:.2f} m{often}{beyond}"
+    return f"{said(last.reason)}{share}, reach {last.reach:.2f} m{beyond}"
 
 
 def _in_foreground() -> bool:

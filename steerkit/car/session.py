@@ -9,7 +9,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
@@ -30,7 +29,6 @@ from steerkit.car.state_machine import Order
 from steerkit.diagram.realtime import Run, Timing, preferred, run
 from steerkit.learning.settings import Setting
 from steerkit.scenario.catalogue import AUTO, RECOVERIES
-from steerkit.task import DT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,9 +68,7 @@ class Session:
         self.adapted: Adapted | None = None
         """What a controller that adapts believes of the car."""
         self.filtered: Filtered | None = None
-        """What it did last."""
-        self.corrections: deque[bool] = deque(maxlen=round(60.0 / DT))
-        """In which samples of the last minute, engaged, it changed the command."""
+        """What the safety filter did last."""
         self.learner_steers: bool | None = None
         """Has the learner the wheel, or its recovery controller? None: there is no learner."""
         self.broken = ""
@@ -88,8 +84,6 @@ class Session:
             self.learner_steers = run.sample["supervisor.learning"] > 0.5
         if "safety" in run.loop.blocks:
             self.filtered = filtered_in(run)
-            if run.sample["car.engaged"] > 0.5:
-                self.corrections.append(self.filtered.share > 0.0)
         return self.ending
 
     @property

@@ -199,7 +199,7 @@ def test_a_terminal_that_controls_nothing_is_in_front(monkeypatch: pytest.Monkey
 
 def test_the_picture_names_the_panel_that_engaged_and_the_way_on(monkeypatch: pytest.MonkeyPatch) -> None:
     _, here = pressed(monkeypatch, Mode.READY, [])
-    here.session.__dict__.update(asked=None, adapted=None, filtered=None, learner_steers=None, corrections=[])
+    here.session.__dict__.update(asked=None, adapted=None, filtered=None, learner_steers=None)
     here.session.watched = SimpleNamespace(rows=list)
     for holder, named in ((here.name, "(this panel)"), ("[/b] other", "[/b] other"), ("", "")):
         console = Console(width=120, record=True, file=io.StringIO())
@@ -220,15 +220,13 @@ def test_what_a_lie_can_do_is_told_in_metres_and_seconds() -> None:
     assert [text.split(": ")[1] for text in told[1:]] == ["in 10.0 s", "not in 10 s", "not known yet"]
 
 
-def test_the_filters_line_says_what_it_did_and_how_often() -> None:
+def test_the_filters_line_says_what_it_did() -> None:
     corrected = Filtered(0.3, 0.2, 0.25, 0.61, 2.0, 0.0, 1.4)
-    assert filter_line(corrected, [True, False, False, False]) == (
-        "corrected, 25 % backup, reach 0.61 m; changed 25.0 % of the last minute"
-    )
-    assert filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.0, 1.0), []) == "passed, reach 0.20 m"
+    assert filter_line(corrected) == "corrected, 25 % backup, reach 0.61 m"
+    assert filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.0, 1.0)) == "passed, reach 0.20 m"
     late = Filtered(0.3, 0.0, 1.0, 0.2, 7.0, math.nan, math.nan)
-    assert filter_line(late, []) == "recovery: the filter was late, reach 0.20 m"
-    beyond = filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.15, 2.04), [])
+    assert filter_line(late) == "recovery: the filter was late, reach 0.20 m"
+    beyond = filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.15, 2.04))
     told = "commands arrive 0.15 s later than believed, ratio and tyres doubted 2.0 times as much"
     assert beyond == f"passed, reach 0.20 m; {told}"
 
