@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import degrees_of
@@ -100,5 +100,5 @@ def driven(name: str, scenario: Scenario, *, seed: int, seconds: float) -> Outco
     if known == "sensors" or "estimator.nis" not in log:
         return outcome
     nis, count = log["estimator.nis"][late], log["estimator.nis_count"][late]
-    within = float(np.mean(nis <= chi2.ppf(0.95, 4)))
+    within = float(np.mean(nis <= chdtri(4, 0.05)))
     return replace(outcome, nis_mean=float(nis.sum() / count.sum()), nis_share=within)

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from benchmarks.wrong_belief import driven
 from benchmarks.wrong_belief import unlike as unlike_car
@@ -192,7 +192,7 @@ def innovations(cars: int, seconds: float, backend: Backend) -> dict[str, Any]:
         log = recorded(course, seconds, cars, seed, backend)
         late = log.t > BEGIN
         nis, count = log["estimator.nis"][late], log["estimator.nis_count"][late]
-        shares += list((nis <= chi2.ppf(0.95, 4)).mean(axis=0))
+        shares += list((nis <= chdtri(4, 0.05)).mean(axis=0))
         means += list(nis.sum(axis=0) / count.sum(axis=0))
         error = aside(log, log["estimator.x"], log["estimator.y"])
         turned = np.angle(np.exp(1j * (log["estimator.psi"] - log["car.psi"])))
