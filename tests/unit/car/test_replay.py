@@ -50,7 +50,7 @@ def test_a_drive_is_what_one_controller_saw_and_asked_for() -> None:
         car(0.3),
         client(3, protocol.Request(0.3, 0.7, 0)),
     ]
-    first, second = replays.drives(Recorded({}, messages, [], 0, False))
+    first, second = replays.drives(Recorded({}, messages, [], 0))
     assert first.requests == [(0.15, 0.5), (0.2, 0.6)]
     assert [s.t for s in first.snapshots] == [0.1, 0.15, 0.2]
     assert (first.first, first.remarks, first.who) == (2, [(0, stanley)], "stanley")
