@@ -108,14 +108,14 @@ class NativeProgram:
             with self._held():
                 work(0, groups)
         else:
-            _share(work, groups, (stop - k) * groups * self.trace.instructions / len(self.trace.ticks))
+            _share(work, groups, stop - k)
         slots = slots.copy()
         slots[self.trace.persistent] = _apart(before)[:, :cars]
         return rows[..., :cars], slots, _apart(state)[:, :cars]
 
 
-_ENOUGH = 2e6
-"""Vector instructions, about two milliseconds, from which on the start of threads is worth its time."""
+_ENOUGH = 2000.0
+"""Ticks of groups, about two milliseconds of usual loops, from which on the start of threads is worth its time."""
 
 
 def _kept(k: int, stop: int, every: int) -> int:
@@ -137,13 +137,13 @@ def _apart(groups: np.ndarray) -> np.ndarray:
     return groups.transpose(1, 0, 2).reshape(groups.shape[1], -1)
 
 
-def _share(work: Callable[[int, int], None], groups: int, instructions: float) -> None:
+def _share(work: Callable[[int, int], None], groups: int, ticks: int) -> None:
     """Call work(first, last) on parts of the groups, one thread a core where there is enough to do.
 
     ctypes lets go of the interpreter lock.
     """
     cores = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, groups)
-    if cores == 1 or instructions < _ENOUGH:
+    if cores == 1 or ticks * groups < _ENOUGH:
         work(0, groups)
         return
     parts = np.linspace(0, groups, 4 * cores + 1 if groups >= 8 * cores else cores + 1).astype(int).tolist()

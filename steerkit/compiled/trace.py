@@ -111,16 +111,6 @@ class Trace:
             what = "depends on the time t, which cars that start anew one by one do not share; valid: backend python"
             raise ValueError(f"{where}: a block of {self.loop!r} {what}")
 
-    @functools.cached_property
-    def instructions(self) -> int:
-        """Operations in one period."""
-        free = ("const", "in", "row", "result")
-        counts = [
-            len(phases) * sum(tick.graph.nodes[i][0] not in free for i in tick.graph.order(tick.roots))
-            for tick, phases in self.kinds
-        ]
-        return sum(counts)
-
 
 def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False) -> Trace:
     """The graphs of a loop. parameters: block fields (`"controller.k"`) to leave open, as inputs; a field that holds a
