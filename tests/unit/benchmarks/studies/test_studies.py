@@ -196,6 +196,7 @@ def sensible(name: str, f: Any) -> None:
             assert f["outage_said_pct"] == f["jump_said_pct"] == 100.0
             assert f["outage_false_pct"] == 0.0
             assert 0.5 < f["nis_mean"] < 1.5
+            assert all(80.0 < share < 99.0 for share in f["innovation_share_pct"])
         case "mpc_solve":
             assert min(f["ltv20_x_raw_qp"], f["nmpc20_x_raw_qp"]) > 0.0
             assert f["ltv20_unsolved"] == 0
