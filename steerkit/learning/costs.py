@@ -84,7 +84,7 @@ class TanhCost(_Limits):
         p(a) = min(1, |a|/action_unit),   or [a != 0] where action_unit is 0
 
     so that 95 % of `step` is reached at |e| = goal. With a `goal_least` the well is as wide as the driving is good (see
-    `narrowed`): where sensors and car let e be small, the net is told to make it smaller still.
+    `suited`): where sensors and car let e be small, the net is told to make it smaller still.
 
     A policy with actions between those of the set moves the wheel in every sample: at [a != 0] that adds up to
     action_cost/(1 - discount), and where this nears 1, failing costs no more than driving and nothing is learned.
@@ -110,16 +110,21 @@ class TanhCost(_Limits):
         narrow, wide = self.goal_least, self.goal
         require(narrow <= wide, "TanhCost", f"goal_least = {narrow}, goal = {wide} [m], expected goal_least <= goal")
 
-    def narrowed(self, e: Array, fast: float = 1.0) -> "TanhCost":
-        """The cost with goal = _WELL median |e| of driving e (n,) [m], within goal_least*fast and goal.
+    def suited(self, e: Array, fast: float = 1.0) -> "TanhCost":
+        """The cost of driving with errors e (n,) [m] at `fast` times `scaled_from` (1 at least).
 
-        fast: how many times `scaled_from` the speed is, 1 at least: an error of the course leads the car off as many
-        times faster. With a slow car's well, nets at 16 m/s steer 1.6 times as restlessly as MPC, at a third of its e.
+            goal = _WELL median |e|, within goal_least*fast and goal;   action_cost*fast^2
+
+        An error of the course leads a fast car off as many times faster, and as an action turns its wheel by a/fast^2,
+        noise is answered with as many times larger actions. With a slow car's well and price, nets at 16 m/s steer up
+        to 1.6 times as restlessly as MPC, at a third of its e.
         """
+        price = min(self.action_cost * fast**2, 1.0 - self.step)
+        cost = replace(self, action_cost=price)
         if not self.goal_least or not len(e):
-            return self
+            return cost
         least = min(self.goal, self.goal_least * fast)
-        return replace(self, goal=float(np.clip(_WELL * np.median(np.abs(e)), least, self.goal)))
+        return replace(cost, goal=float(np.clip(_WELL * np.median(np.abs(e)), least, self.goal)))
 
     def steps(self, e: Array, a: Array) -> Array:
         well = m.tanh(e * (math.atanh(math.sqrt(0.95)) / self.goal)) ** 2

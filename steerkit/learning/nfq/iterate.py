@@ -272,7 +272,7 @@ def iterate(
     if isinstance(problem.cost, TanhCost):
         newest_s = transitions.s[-NEWEST:]
         fast = float(problem.description.excess(np.median(newest_s[:, V])))
-        problem = replace(problem, cost=problem.cost.narrowed(newest_s[:, E], fast))
+        problem = replace(problem, cost=problem.cost.suited(newest_s[:, E], fast))
     nets: Nets = tuple(nets_before)
     size = 2 if setting.symmetric else 1
     members = [nets[i : i + size] for i in range(0, len(nets), size)]

@@ -35,12 +35,18 @@ def test_tanh_cost_by_hand() -> None:
 def test_a_well_is_as_wide_as_the_driving_is_good() -> None:
     cost = TanhCost(goal=0.15, goal_least=0.05)
     for e, goal in ((0.001, 0.05), (0.004, 0.1), (0.02, 0.15)):
-        assert cost.narrowed(np.array([e, -e, 3.0 * e, 0.0, e])).goal == pytest.approx(goal)
-    assert [cost.narrowed(np.zeros(3), fast).goal for fast in (1.0, 2.0, 4.0)] == [0.05, 0.1, 0.15]
-    assert TanhCost(goal=0.15).narrowed(np.zeros(3)).goal == 0.15
-    assert cost.narrowed(np.zeros(0)) is cost
+        assert cost.suited(np.array([e, -e, 3.0 * e, 0.0, e])).goal == pytest.approx(goal)
+    assert [cost.suited(np.zeros(3), fast).goal for fast in (1.0, 2.0, 4.0)] == [0.05, 0.1, 0.15]
+    assert TanhCost(goal=0.15).suited(np.zeros(3)).goal == 0.15
+    assert cost.suited(np.zeros(0)) == cost
     with pytest.raises(ValueError, match="goal_least <= goal"):
         TanhCost(goal=0.1, goal_least=0.2)
+
+
+def test_noise_makes_a_fast_car_dearer_to_steer_until_steering_costs_as_much_as_failing() -> None:
+    costs = [TanhCost(action_cost=0.02).suited(np.zeros(3), fast) for fast in (1.0, 2.0, 3.0, 10.0)]
+    assert [cost.action_cost for cost in costs] == pytest.approx([0.02, 0.08, 0.18, 0.96])
+    assert all(cost.suited(np.zeros(0)) == cost for cost in costs)
 
 
 def test_smooth_cost_by_hand() -> None:
