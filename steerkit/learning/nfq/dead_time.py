@@ -81,8 +81,6 @@ FADES = (0.035, 0.07, 0.14)
 """... how fast they go [1]: in 1.4, 0.7 and 0.35 s ..."""
 SLEWS = (2.0, 2.8, 4.0, 5.0, 6.3, 8.0, 12.0)
 """... and how far it turns in a sample [rad m^2/s^2]: by torque, 5 m/s^3 are about 6."""
-LOOKED_AT = 1500
-"""Newest samples in which they are looked for."""
 BETTER = 0.95
 """They are believed where w is foreseen by that factor better with them."""
 
@@ -117,14 +115,16 @@ def process_of(
     record = since_change(record, most)
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
         record = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
+    telling = most_steered(record) if fast else record
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
-        best = dead_time_of(record, most, description.scaled_from, 0 if before is None else before.samples)
-        part = aligned(record, best)
+        best = dead_time_of(telling, most, description.scaled_from, 0 if before is None else before.samples)
+        part = aligned(telling, best)
         model = refined(CarModel.fit(part, description, fast=fast), part)
     else:
-        best, part, model = _of_others(record, description, most, fast)
+        best, part, model = _of_others(telling, description, most, fast)
     if fast:
         model = overshooting(model, part, description, before)
+        part = aligned(record, best)
     numbers = {name: getattr(model, name) for name in (*ANSWER, *FELT, "straight")}
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
@@ -237,6 +237,27 @@ def _left(squares: Array) -> Array:
     """What least squares leaves of the last column's squares, from the columns' products (..., n, n); a trace more."""
     some = squares + 1e-9 * np.trace(squares, axis1=-2, axis2=-1)[..., None, None] * np.eye(squares.shape[-1])
     return 1.0 / np.linalg.inv(some)[..., -1, -1]
+
+
+def most_steered(record: Transitions) -> Transitions:
+    """The newest ROWS/2 rows and, in pieces of PIECE rows, as many of those before in which the wheel is turned most.
+
+    By v^2 d(doe)/dt, RMS. In calm driving the controller's answer to noise is most of what the wheel does, and the car
+    that explains it best is not the car: after minutes without the first seconds, dead time and overshoot go astray.
+    Source: Ljung 1999, section 13.4 (bias of closed-loop data, and the input's power against it).
+    """
+    newest = len(record) - ROWS // 2
+    pieces = newest // PIECE
+    if len(record) <= ROWS:
+        return record
+    rows = np.arange(newest - pieces * PIECE, newest).reshape(pieces, PIECE)
+    turned = speed(record.s) ** 2 * (record.s_next[:, DOE] - record.s[:, DOE])
+    most = np.argsort(-np.mean(turned[rows] ** 2, axis=1), kind="stable")[: ROWS // 2 // PIECE]
+    row = np.concatenate((*rows[np.sort(most)], np.arange(newest, len(record))))
+    episode = np.cumsum(~follow(record))[row]
+    episode += len(record) * np.cumsum(np.diff(row, prepend=row[0]) > 1)
+    part = record.part(row)
+    return Transitions(part.names, part.s, part.a, part.s_next, episode, part.own)
 
 
 def dead_time_of(record: Transitions, longest: int, scaled_from: float = np.inf, before: int = 0) -> int:
@@ -383,20 +404,17 @@ def overshooting(
     row = _foreseeable(part)
     if len(row) < 4 * REFINED:
         return model
-    row = row[-LOOKED_AT:]
-    first = max(0, int(row[0]) - 1)
-    newest = part.part(slice(first, None))
     found = dict(lead=0.0, fade=FADES[1], most=UNLIMITED, slew=UNLIMITED)
     overshoots = [dict(lead=0.0), *(dict(lead=lead, most=most) for lead in LEADS for most in MOSTS)]
     both = [one | dict(slew=slew) for slew in (UNLIMITED, *SLEWS) for one in overshoots]
     for changes in (both, [dict(fade=fade) for fade in FADES]):
         cars = [found | change for change in changes]
-        left = _left_by(cars, newest, row - first)
+        left = _left_by(cars, part, row)
         found = cars[int(left.argmin())]
     kept = before is not None and before.feels
     if kept:
         shape = {name: float(getattr(before, name)) for name in FELT}
-        found = found if left.min() < BETTER * _left_by([shape], newest, row - first)[0] else shape
+        found = found if left.min() < BETTER * _left_by([shape], part, row)[0] else shape
     if found["lead"] == 0.0 and found["slew"] == UNLIMITED:
         return model
     other = replace(model, **found)
