@@ -12,9 +12,11 @@ from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import dead_time
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.dead_time import (
+    ROWS,
     TRUST_COURSE,
     aligned,
     dead_time_of,
+    most_steered,
     process_of,
     refined,
     since_change,
@@ -308,6 +310,38 @@ def test_a_fast_cars_dead_time_of_before_stays_until_it_is_twice_as_much_worse(m
 )
 def test_a_refined_model_that_no_car_has_is_refused(factors: dict[str, float], refuses: bool) -> None:
     assert (refined(CAR, changed(late(0), **factors)) is CAR) is refuses
+
+
+def still(n: int, noise: float) -> Transitions:
+    """What is recorded of a fast car whose wheel hardly moves, in one episode: noise."""
+    rng, s = np.random.default_rng(3), np.zeros((n + 1, len(COLUMNS) + 1))
+    s[:, V] = 18.0
+    s[:, [E_DOT, 4]] = noise * rng.standard_normal((n + 1, 2))
+    s[:, DOE] = 1e-3 * rng.standard_normal(n + 1)
+    return Transitions((*COLUMNS, "kappa"), s[:-1], np.diff(s[:, DOE]), s[1:], np.zeros(n, dtype=int), np.ones(n, bool))
+
+
+def test_the_rows_that_tell_are_the_newest_and_the_pieces_before_that_are_steered_most() -> None:
+    record = after(still(1000, 0.0), late(4, car=FAST, speeds=(12.0, 24.0), n=420), still(4000, 0.0))
+    telling = most_steered(record)
+    assert len(telling) == ROWS // 2 + ROWS // 2 // 200 * 200
+    assert np.array_equal(telling.s[-ROWS // 2 :], record.s[-ROWS // 2 :])
+    wild = np.abs(record.s[:, DOE]) > 0.01
+    assert (np.abs(telling.s[:, DOE]) > 0.01).sum() == wild.sum()
+    joined = telling.episode[1:] == telling.episode[:-1]
+    assert np.array_equal(telling.s_next[:-1][joined], telling.s[1:][joined])
+    assert len(most_steered(record.part(slice(ROWS)))) == ROWS
+
+
+@pytest.mark.parametrize(("car", "rows"), [(FAST, ROWS - 100), (CAR, 3600)])
+def test_a_fast_car_is_told_by_them_and_its_nets_learn_from_all(
+    car: CarModel, rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = list[int]()
+    monkeypatch.setattr(dead_time, "refined", lambda model, part: seen.append(len(part)) or refined(model, part))
+    record = late(0, car=car, speeds=(12.0, 24.0) if car.fast else (4.0, 7.0), n=3600, noise=0.002)
+    assert len(process_of(record, DESCRIPTION, 0.6).record) == 3600
+    assert seen[0] == rows
 
 
 @pytest.mark.parametrize(("rows", "few"), [(40, True), (41, False)])
