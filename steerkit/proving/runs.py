@@ -1,7 +1,7 @@
 """A manoeuvre's runs: signals about the time at which the input began, in one sign; found in a log, or simulated."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -12,6 +12,7 @@ from steerkit._support.errors import require
 from steerkit.compiled import TraceError, compile
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.diagram.loop import Loop
+from steerkit.diagram.maths import Table
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.logs.channels import Array
 from steerkit.logs.drive import Drive
@@ -294,6 +295,17 @@ def open_loop(manoeuvre: Manoeuvre, scenario: Scenario, side: str, seed: int = 0
     return steering_loop(path=path, controller=steering, reference=float(car.l_f), **blocks)
 
 
+def on_course(manoeuvre: Manoeuvre, scenario: Scenario, controller: str, seed: int = 0) -> tuple[Loop, float]:
+    """The loop of a run on the manoeuvre's course, and how far it goes [m]: of a closed one half a round."""
+    v = manoeuvre.conditions.v
+    path = manoeuvre.path()
+    scenario = _at(scenario, v)
+    law = make_controller(controller, replace(scenario.design_model(), path=path))
+    blocks: dict[str, Any] = dict(scenario.blocks(path, straightest(path) if path.closed else 0.0, seed))
+    loop = steering_loop(path=path, controller=law, reference=scenario.ahead, **blocks)
+    return loop, 0.5 * path.length if path.closed else path.length - _MARGIN
+
+
 def _at(scenario: Scenario, v: float) -> Scenario:
     """The scenario at that speed, on no course of its own."""
     driver = {"speed": "wander", "v_min": v, "v_max": v}
@@ -301,13 +313,10 @@ def _at(scenario: Scenario, v: float) -> Scenario:
 
 
 def _driven(manoeuvre: Manoeuvre, scenario: Scenario, controller: str, side: str, number: int, seed: int) -> Run:
-    """A run on the manoeuvre's course: of a closed one half a round."""
-    path, v = manoeuvre.path(), manoeuvre.conditions.v
-    law = make_controller(controller, replace(scenario.design_model(), path=path))
-    blocks: dict[str, Any] = dict(scenario.blocks(path, straightest(path) if path.closed else 0.0, seed))
-    loop = steering_loop(path=path, controller=law, reference=scenario.ahead, **blocks)
-    length = 0.5 * path.length if path.closed else path.length - _MARGIN
-    log = simulate(loop, 1.5 * length / v, until=lambda sample: sample["path.progress"] >= length, allow_nonfinite=True)
+    """A run on the manoeuvre's course."""
+    loop, length = on_course(manoeuvre, scenario, controller, seed)
+    seconds = 1.5 * length / manoeuvre.conditions.v
+    log = simulate(loop, seconds, until=lambda sample: sample["path.progress"] >= length, allow_nonfinite=True)
     run = run_of(log, manoeuvre, side, number, 0.0)
     short = "" if log["path.progress"][-1] >= length else "the end of the course was not reached"
     return replace(run, invalid=short)
@@ -326,20 +335,16 @@ def run_of(log: Log, manoeuvre: Manoeuvre, side: str, number: int, start: float,
 def of_fleet(
     manoeuvre: Manoeuvre, cars: Sequence[FleetCar], *, lag: float = 0.12
 ) -> Iterator[tuple[FleetCar, list[Run]]]:
-    """The runs of many production cars: of an input in a batch of a compiled program, on a course one by one.
+    """The runs of many production cars, in batches of a compiled program.
 
     Each has its own dead time and is steered by the angle that its data ask, or on a course by `stanley-delay`, which
     knows it; lag: of their steering [s]. The cars are linear single tracks, as of stiffness is all that is known of
     their tyres. A run to the left alone: to the right it is the same, mirrored.
     """
-    v = manoeuvre.conditions.v
     if manoeuvre.input is None:
-        for each in cars:
-            steering = {"delay": round(each.steer_delay, 2), "lag": lag}
-            scenario = Scenario(vehicle={"name": each.vehicle.name, "plant": "linear"}, steering=steering)
-            yield each, [_driven(manoeuvre, _at(scenario, v), "stanley-delay", "left", 1, 0)]
+        yield from _on_course(manoeuvre, cars, lag)
         return
-    wait = _wait(manoeuvre)
+    wait, v = _wait(manoeuvre), manoeuvre.conditions.v
     sizes = np.array([manoeuvre.required.angle(car.vehicle, v) for car in cars])
     late = np.array([car.steer_delay for car in cars])
     wave = np.concatenate((np.zeros(round(wait / DT)), np.median(sizes) * manoeuvre.required.wave))
@@ -357,3 +362,47 @@ def of_fleet(
     log = program.run(_seconds(manoeuvre, float(late.max())), parameters=values, allow_nonfinite=True)
     for k, each in enumerate(cars):
         yield each, [run_of(log, manoeuvre, "left", 1, -wait, k)]
+
+
+def _on_course(manoeuvre: Manoeuvre, cars: Sequence[FleetCar], lag: float) -> Iterator[tuple[FleetCar, list[Run]]]:
+    """The runs of a manoeuvre on a course: cars of one dead time are a batch."""
+    for delay in sorted({round(car.steer_delay, 2) for car in cars}):
+        group = [car for car in cars if round(car.steer_delay, 2) == delay]
+        steering = {"delay": delay, "lag": lag}
+        scenarios = [
+            Scenario(vehicle={"name": car.vehicle.name, "plant": "linear"}, steering=steering) for car in group
+        ]
+        loops, lengths = zip(*(on_course(manoeuvre, scenario, "stanley-delay") for scenario in scenarios))
+        values = differing(loops)
+        record = [*(f"car.{key}" for key in ("delta_sw", "v", "r", "a_y")), "path.e"]
+        program = compile(loops[0], record=record, parameters=list(values))
+        log = program.run(
+            lengths[0] / manoeuvre.conditions.v, parameters=values, batch=len(group), allow_nonfinite=True
+        )
+        yield from ((car, [run_of(log, manoeuvre, "left", 1, 0.0, k)]) for k, car in enumerate(group))
+
+
+def differing(loops: Sequence[Loop]) -> dict[str, Array]:
+    """The block fields in which loops of one structure differ, each with its value a loop (N,).
+
+    Raises ValueError for loops that differ in what is no number, such as a table of gains.
+    """
+    each = [{f"{name}.{k}": v for name, block in loop.blocks.items() for k, v in _numbers(block)} for loop in loops]
+    named = [key for key, value in each[0].items() if any(one.get(key) != value for one in each)]
+    for key in named:
+        require(isinstance(each[0][key], float), "batch", f"{key} differs from car to car and is no number")
+    return {key: np.array([one[key] for one in each]) for key in named}
+
+
+def _numbers(owner: Any, within: str = "") -> Iterator[tuple[str, Any]]:
+    """Every field, those of dataclasses in it too; of what is no number whatever tells two of it apart."""
+    for field in fields(owner):
+        value, name = getattr(owner, field.name), f"{within}{field.name}"
+        if is_dataclass(value):
+            yield from _numbers(value, f"{name}.")
+        elif isinstance(value, int | float):
+            yield name, float(value)
+        elif isinstance(value, Table):
+            yield name, value.rows.tobytes()
+        elif not isinstance(value, str):
+            yield name, value

@@ -9,8 +9,8 @@ from steerkit import Scenario
 from steerkit.compiled import TraceError
 from steerkit.proving import runs
 from steerkit.proving.evaluate import evaluate
-from steerkit.proving.manoeuvre import manoeuvre
-from steerkit.proving.runs import of_fleet, simulated
+from steerkit.proving.manoeuvre import manoeuvre, names
+from steerkit.proving.runs import differing, of_fleet, on_course, simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
 from steerkit.vehicles import fleet
 
@@ -79,3 +79,14 @@ def test_a_fleet_drives_as_its_cars_do_alone(name: str) -> None:
         batched, by_itself = (evaluate(one, [each], car.vehicle) for each in (run, single))
         for a, b in zip(batched.results, by_itself.results, strict=True):
             assert a.value == pytest.approx(b.value, rel=0.02, abs=0.012, nan_ok=True), (car.vehicle.name, a.quantity)
+
+
+def test_loops_that_differ_in_a_table_are_no_batch() -> None:
+    one = manoeuvre("lane-change-2")
+    loops = [
+        on_course(one, Scenario(vehicle={"name": name, "plant": "linear"}), "lqr")[0]
+        for name in ("vw-passat", "fleet-7")
+    ]
+    with pytest.raises(ValueError, match="differs from car to car and is no number"):
+        differing(loops)
+    assert len(names()) == 16
