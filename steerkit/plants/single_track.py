@@ -122,8 +122,26 @@ class SingleTrack(IntegratedCar):
         held = self.held(delta_sw / self.vehicle.steer_ratio, v)
         motion: tuple[Scalar, ...] = x[:5]
         for _ in range(self.substeps):
-            motion = m.rk4(lambda now: self.motion(now, held), motion, self.dt / self.substeps)
+            motion = self._stepped(motion, held)
         return SingleTrackState._make((*motion, v, delta_sw))
+
+    def _stepped(self, x: Sequence[Scalar], held: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+        """`maths.rk4` written out for five states, none of whose rates sees x, y: half the time of a car's sample."""
+        h = self.dt / self.substeps
+        half, sixth = 0.5 * h, h / 6.0
+        x1, x2, x3, x4, x5 = x
+        f = self.motion
+        a1, a2, a3, a4, a5 = f(x, held)
+        b1, b2, b3, b4, b5 = f((x1, x2, x3 + half * a3, x4 + half * a4, x5 + half * a5), held)
+        c1, c2, c3, c4, c5 = f((x1, x2, x3 + half * b3, x4 + half * b4, x5 + half * b5), held)
+        d1, d2, d3, d4, d5 = f((x1, x2, x3 + h * c3, x4 + h * c4, x5 + h * c5), held)
+        return (
+            x1 + sixth * (a1 + 2.0 * (b1 + c1) + d1),
+            x2 + sixth * (a2 + 2.0 * (b2 + c2) + d2),
+            x3 + sixth * (a3 + 2.0 * (b3 + c3) + d3),
+            x4 + sixth * (a4 + 2.0 * (b4 + c4) + d4),
+            x5 + sixth * (a5 + 2.0 * (b5 + c5) + d5),
+        )
 
     def rhs(self, x: Sequence[Scalar], delta: Scalar, v: Scalar) -> tuple[Scalar, ...]:
         """x' of the five motion states x = (x, y, psi, sway, r) for road-wheel angle delta [rad] and speed v [m/s]."""
