@@ -246,11 +246,10 @@ def most_steered(record: Transitions) -> Transitions:
     that explains it best is not the car: after minutes without the first seconds, dead time and overshoot go astray.
     Source: Ljung 1999, section 13.4 (bias of closed-loop data, and the input's power against it).
     """
-    newest = len(record) - ROWS // 2
-    pieces = newest // PIECE
     if len(record) <= ROWS:
         return record
-    rows = np.arange(newest - pieces * PIECE, newest).reshape(pieces, PIECE)
+    newest = len(record) - ROWS // 2
+    rows = np.arange(newest - newest % PIECE).reshape(-1, PIECE)  # from the first on, the same in every update
     turned = speed(record.s) ** 2 * (record.s_next[:, DOE] - record.s[:, DOE])
     most = np.argsort(-np.mean(turned[rows] ** 2, axis=1), kind="stable")[: ROWS // 2 // PIECE]
     row = np.concatenate((*rows[np.sort(most)], np.arange(newest, len(record))))
