@@ -3,9 +3,11 @@
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from steerkit.learning.settings import DEFAULT, SETTINGS, changed
+from steerkit.learning.costs import TanhCost
+from steerkit.learning.settings import DEFAULT, SETTINGS, Setting, changed
 from steerkit.scenario import Scenario
 
 
@@ -40,6 +42,12 @@ def test_a_filter_goes_with_the_recovery_controller_only() -> None:
         changed(DEFAULT, ["after_failure=reset", "safe=true"])
 
 
+def price_at(v: float, setting: Setting) -> float:
+    cost = setting.cost
+    assert isinstance(cost, TanhCost)
+    return cost.suited(np.zeros(3), float(setting.description().excess(v))).action_cost
+
+
 def test_where_torque_steers_no_action_asks_for_more_than_its_slew() -> None:
     scenario = Scenario(
         course="sweeping-7", steering={"command": "torque", "delay": 0.35}, driver={"v_min": 12.0, "v_max": 20.0}
@@ -49,5 +57,6 @@ def test_where_torque_steers_no_action_asks_for_more_than_its_slew() -> None:
         step = max(suited.actions) / suited.description().excess(v) ** 2
         slewed = car.steer_ratio * car.wheelbase * scenario.steering.slew * 0.05 / v**2
         assert step == pytest.approx(slewed, rel=1e-12)
+    assert price_at(10.0, suited) == pytest.approx(price_at(10.0, DEFAULT))
     assert DEFAULT.suited(Scenario().design_model()) is DEFAULT
     assert SETTINGS["paper"].suited(scenario.design_model()) is SETTINGS["paper"]
