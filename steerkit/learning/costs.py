@@ -102,6 +102,8 @@ class TanhCost(_Limits):
     """Cost of a step that moves the steering wheel."""
     action_unit: float = number(0.0, "rad", low=0.0)
     """Action from which a step costs all of that, smaller ones in proportion; 0: all that is not 0 does [rad]."""
+    dear_from: float = number(1.0, "1", low=1.0)
+    """How many times `scaled_from` the speed is from which actions cost more (see `suited`)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -113,13 +115,13 @@ class TanhCost(_Limits):
     def suited(self, e: Array, fast: float = 1.0) -> "TanhCost":
         """The cost of driving with errors e (n,) [m] at `fast` times `scaled_from` (1 at least).
 
-            goal = _WELL median |e|, within goal_least*fast and goal;   action_cost*fast^2
+            goal = _WELL median |e|, within goal_least*fast and goal;   action_cost*max(1, fast/dear_from)^2
 
         An error of the course leads a fast car off as many times faster, and as an action turns its wheel by a/fast^2,
         noise is answered with as many times larger actions. With a slow car's well and price, nets at 16 m/s steer up
         to 1.6 times as restlessly as MPC, at a third of its e.
         """
-        price = min(self.action_cost * fast**2, 1.0 - self.step)
+        price = min(self.action_cost * max(1.0, fast / self.dear_from) ** 2, 1.0 - self.step)
         cost = replace(self, action_cost=price)
         if not self.goal_least or not len(e):
             return cost

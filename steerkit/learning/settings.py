@@ -124,8 +124,8 @@ class Setting:
         """This setting for that car: where torque steers it, no action asks for more than its slew lets happen.
 
         The largest action turns the wheel by a/x^2 in a sample (`StateDescription.scaled`), and the slew lets it turn
-        by steer_ratio L slew dt/v^2 and more: `scaled_from` is at most sqrt(steer_ratio L slew dt/a). The price of an
-        action at a speed (see `TanhCost.suited`) stays.
+        by steer_ratio L slew dt/v^2 and more: `scaled_from` is at most sqrt(steer_ratio L slew dt/a). The same turn of
+        the wheel is a larger action then, and costs no more than it would (`TanhCost.dear_from`).
         """
         if design_model.slew is None or not math.isfinite(self.scaled_from):
             return self
@@ -135,7 +135,7 @@ class Setting:
             return self
         cost = self.cost
         if isinstance(cost, TanhCost):
-            cost = replace(cost, action_cost=cost.action_cost * (latest / self.scaled_from) ** 2)
+            cost = replace(cost, dear_from=cost.dear_from * (self.scaled_from / latest) ** 2)
         return replace(self, scaled_from=latest, cost=cost)
 
     def recorded(self) -> tuple[str, ...]:
