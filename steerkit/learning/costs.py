@@ -119,8 +119,8 @@ class TanhCost(_Limits):
 
         The well is _WELL times the median |e| wide, within goal_least*fast and goal. An error of the course leads a
         fast car off as many times faster, and as an action turns its wheel by a/fast^2, noise is answered with as many
-        times larger actions. With a slow car's well and price, nets at 16 m/s steer up to 1.6 times as restlessly as MPC, at
-        a third of its e.
+        times larger actions. With a slow car's well and price, nets at 16 m/s steer up to 1.6 times as restlessly as
+        MPC, at a third of its e.
         """
         price = min(self.action_cost * max(1.0, fast / self.dear_from) ** 2, 1.0 - self.step)
         cost = replace(self, action_cost=price)
