@@ -333,6 +333,13 @@ def test_the_rows_that_tell_are_the_newest_and_the_pieces_before_that_are_steere
     assert len(most_steered(record.part(slice(ROWS)))) == ROWS
 
 
+@pytest.mark.parametrize("rows", [4000, 4070, 4199])
+def test_the_first_seconds_tell_at_every_length_of_a_record(rows: int) -> None:
+    """Pieces that are counted from the record's end leave some of them out, other ones in each update."""
+    record = after(late(4, car=FAST, speeds=(12.0, 24.0), n=420), still(5000, 0.0)).part(slice(rows))
+    assert np.array_equal(most_steered(record).s[:420], record.s[:420])
+
+
 @pytest.mark.parametrize(("car", "rows"), [(FAST, ROWS - 100), (CAR, 3600)])
 def test_a_fast_car_is_told_by_them_and_its_nets_learn_from_all(
     car: CarModel, rows: int, monkeypatch: pytest.MonkeyPatch
