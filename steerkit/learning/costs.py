@@ -115,7 +115,7 @@ class TanhCost(_Limits):
     def suited(self, e: Array, fast: float = 1.0) -> "TanhCost":
         """The cost of driving with errors e (n,) [m] at `fast` times `scaled_from` (1 at least).
 
-            action_cost' = action_cost*max(1, fast/dear_from)^2
+            action_cost' = min(action_cost*max(1, fast/dear_from)^2, 1 - step)
 
         The well is _WELL times the median |e| wide, within goal_least*fast and goal. An error of the course leads a
         fast car off as many times faster, and as an action turns its wheel by a/fast^2, noise is answered with as many

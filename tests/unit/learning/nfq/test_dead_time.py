@@ -340,6 +340,18 @@ def test_the_first_seconds_tell_at_every_length_of_a_record(rows: int) -> None:
     assert np.array_equal(most_steered(record).s[:420], record.s[:420])
 
 
+@pytest.mark.parametrize("gain", [0.9, 0.75, 1.2])
+def test_a_fast_car_that_has_changed_is_not_that_of_where_it_was_steered_most(gain: float) -> None:
+    car = replace(FAST, now=gain * FAST.now, before=gain * FAST.before)
+    first, since = (
+        late(4, car=FAST, speeds=(12.0, 24.0), noise=0.002),
+        late(4, car=car, speeds=(12.0, 24.0), noise=0.002, n=4200, action=0.2, seed=1),
+    )
+    model = process_of(after(first, since), DESCRIPTION, 0.6).model
+    v = np.array([12.0, 18.0, 24.0])
+    assert model.ratio(v) == pytest.approx(car.ratio(v), rel=0.04)
+
+
 @pytest.mark.parametrize(("car", "rows"), [(FAST, ROWS - 100), (CAR, 3600)])
 def test_a_fast_car_is_told_by_them_and_its_nets_learn_from_all(
     car: CarModel, rows: int, monkeypatch: pytest.MonkeyPatch
