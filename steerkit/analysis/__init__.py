@@ -219,18 +219,10 @@ def _named(signals: Sequence[str], samples: Sequence[int], opened: Sequence[str]
 
 def _joined(a: Array, b: Array, c: Array) -> list[int]:
     """The states that an input reaches and that an output shows."""
-
-    def spread(start: Any, through: Any) -> Any:
-        linked_states = start
-        while True:
-            next_states = linked_states | (through @ linked_states)
-            if (next_states == linked_states).all():
-                return linked_states
-            linked_states = next_states
-
-    linked = np.abs(a) > _TINY
-    reached = spread((np.abs(b) > _TINY).any(axis=1), linked)
-    seen = spread((np.abs(c) > _TINY).any(axis=0), linked.T)
+    linked = np.eye(len(a), dtype=bool) | (np.abs(a) > _TINY)
+    ways = np.linalg.matrix_power(linked, max(len(a), 1))  # from each state to each, within as many steps as there are
+    reached = ways @ (np.abs(b) > _TINY).any(axis=1)
+    seen = (np.abs(c) > _TINY).any(axis=0) @ ways
     return [int(i) for i in np.flatnonzero(reached & seen)]
 
 

@@ -54,17 +54,13 @@ def held(place: FilePath) -> Iterator[None]:
         what = f"{place} is being learned by {holder(place)}"
         raise ValueError(f"learn: {what}; wait for its end, stop it, or choose another directory") from why
     try:
-        write_text(place / HOLDER, this_process(), durable=False)
+        command = shlex.join([FilePath(sys.argv[0]).name, *sys.argv[1:]])
+        since = time.strftime("%Y-%m-%d %H:%M:%S")
+        write_text(place / HOLDER, f"process {os.getpid()} ({command}) since {since}", durable=False)
         yield
     finally:
         (place / HOLDER).unlink(missing_ok=True)
         lock.release()
-
-
-def this_process() -> str:
-    """The line that names this process: "process 4711 (steerkit learn) since 2026-11-22 09:00:00"."""
-    command = shlex.join([FilePath(sys.argv[0]).name, *sys.argv[1:]])
-    return f"process {os.getpid()} ({command}) since {time.strftime('%Y-%m-%d %H:%M:%S')}"
 
 
 def holder(place: FilePath) -> str:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path as File
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -79,8 +79,19 @@ class Path:
         if closed:
             points = ring(points, where)
         u = travelled(points)
-        degree = min(_DEGREE, len(points) - 1)
-        return cls._of_curve(_spline(u, points, degree, closed, smoothing), float(u[-1]), closed, spacing, name)
+        curve, end = _spline(u, points, min(_DEGREE, len(points) - 1), closed, smoothing), float(u[-1])
+        for _ in range(4):  # until the parameter is the arc length
+            curve, end, n = _even(curve, end, closed, spacing, where)
+        h = end / n
+        uneven = float(np.abs(np.hypot(*curve((np.arange(8 * n) + 0.5) * h / 8.0, 1).T) - 1.0).max())
+        if uneven > _UNEVEN:
+            raise ValueError(
+                f"{where}: arc length is uneven by {uneven:.2g}, expected at most {_UNEVEN:g}: a bend is too "
+                f"tight for spacing {h:.3g} [m]; give a smaller spacing, or smoothing > 0 for noisy points"
+            )
+        middle = (np.arange(n) + 0.5) * h
+        rows = np.stack([curve(middle, k) / math.factorial(k) for k in range(_DEGREE + 1)])  # (k, n, xy)
+        return cls(table=Table(rows.transpose(1, 2, 0).reshape(n, -1)), length=end, closed=closed, name=name)
 
     @classmethod
     def from_gps(
@@ -145,22 +156,6 @@ class Path:
         path = cls.from_waypoints(xy, closed=closed, smoothing=wide, spacing=spacing, name=name)
         return dataclasses.replace(path, origin_deg=origin)
 
-    @classmethod
-    def _of_curve(cls, curve: Any, end: float, closed: bool, spacing: float, name: str) -> Self:
-        """The path along `curve(u)`, 0 <= u <= end: resampled until its parameter is the arc length."""
-        for _ in range(4):
-            curve, end, n = _even(curve, end, closed, spacing, f"Path '{name}'")
-        h = end / n
-        uneven = float(np.abs(np.hypot(*curve((np.arange(8 * n) + 0.5) * h / 8.0, 1).T) - 1.0).max())
-        if uneven > _UNEVEN:
-            raise ValueError(
-                f"Path '{name}': arc length is uneven by {uneven:.2g}, expected at most {_UNEVEN:g}: a bend is too "
-                f"tight for spacing {h:.3g} [m]; give a smaller spacing, or smoothing > 0 for noisy points"
-            )
-        middle = (np.arange(n) + 0.5) * h
-        rows = np.stack([curve(middle, k) / math.factorial(k) for k in range(_DEGREE + 1)])  # (k, n, xy)
-        return cls(table=Table(rows.transpose(1, 2, 0).reshape(n, -1)), length=end, closed=closed, name=name)
-
     def reversed(self) -> "Path":
         """The same curve driven the other way; what was left is right."""
         flip = np.tile([1.0, -1.0], _DEGREE + 1)  # w -> -w
@@ -212,20 +207,18 @@ class Path:
         s = np.linspace(0.0, self.length, len(self.table) + 1)
         x, y, dx, dy, ddx, ddy = self.frame(s)
         psi = np.unwrap(np.arctan2(dy, dx))
-        return Path.Samples(s=s, xy=np.column_stack((x, y)), psi=psi, kappa=dx * ddy - dy * ddx)
+        found = Path.Samples(s=s, xy=np.column_stack((x, y)), psi=psi, kappa=dx * ddy - dy * ddx)
+        for array in found:
+            array.flags.writeable = False
+        return found
 
-    @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-    class Samples:
+    class Samples(NamedTuple):
         """A path as arrays: s (n,) [m], xy (n, 2) [m], psi (n,) [rad], kappa (n,) [1/m]; read-only."""
 
         s: Array
         xy: Array
         psi: Array
         kappa: Array
-
-        def __post_init__(self) -> None:
-            for array in vars(self).values():
-                array.flags.writeable = False
 
     def to_csv(self, file: str | File) -> None:
         """Write s, x, y, psi, kappa at the knots; `from_csv` reads them back to the same curve (closed as before)."""

@@ -394,17 +394,18 @@ def _transition(manoeuvre: Manoeuvre, run: Run, vehicle: Vehicle) -> Iterator[Ro
 
 
 class Spectra(NamedTuple):
-    """Of each segment (m, f): power of the angle, cross powers and powers of yaw rate and acceleration."""
+    """Fourier transforms of each segment (m, f) over the frequencies f [Hz]."""
 
     f: Array
-    wheel: Array
-    cross: Mapping[str, Array]
-    power: Mapping[str, Array]
+    delta_sw: Array
+    r: Array
+    a_y: Array
 
-    def response(self, name: str, keep: Any = slice(None)) -> tuple[Array, Array]:
-        """H1 = S_wy/S_ww and the coherence, over the segments to keep."""
-        s_ww, s_wy = self.wheel[keep].sum(axis=0), self.cross[name][keep].sum(axis=0)
-        return s_wy / s_ww, np.abs(s_wy) ** 2 / (s_ww * self.power[name][keep].sum(axis=0))
+    def response(self, answer: Array, keep: Any = slice(None)) -> tuple[Array, Array]:
+        """H1 = S_wy/S_ww and the coherence, over the segments to keep; answer: r or a_y."""
+        wheel, answer = self.delta_sw[keep], answer[keep]
+        s_ww, s_wy = (np.abs(wheel) ** 2).sum(axis=0), (np.conj(wheel) * answer).sum(axis=0)
+        return s_wy / s_ww, np.abs(s_wy) ** 2 / (s_ww * (np.abs(answer) ** 2).sum(axis=0))
 
 
 def spectra(manoeuvre: Manoeuvre, runs: list[Run]) -> Spectra:
@@ -432,11 +433,7 @@ def spectra(manoeuvre: Manoeuvre, runs: list[Run]) -> Spectra:
     f = np.fft.rfftfreq(max(n, 2), dt)
     use = (f >= low - 1e-9) & (f <= high + 1e-9)
     spectrum = np.array([np.fft.rfft(part[:, :n])[:, use] for part in parts]).reshape(-1, 3, int(use.sum()))
-    wheel = spectrum[:, 0]
-    answers = {"r": spectrum[:, 1], "a_y": spectrum[:, 2]}
-    cross = {name: np.conj(wheel) * answer for name, answer in answers.items()}
-    power = {name: np.abs(answer) ** 2 for name, answer in answers.items()}
-    return Spectra(np.asarray(f[use]), np.abs(wheel) ** 2, cross, power)
+    return Spectra(np.asarray(f[use]), *spectrum.swapaxes(0, 1))
 
 
 def model(theta: Sequence[float] | Array, f: Any) -> Any:
@@ -474,20 +471,20 @@ def _frequency(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found
     2010; Efron, Tibshirani 1993.
     """
     found = spectra(manoeuvre, runs)
-    m = len(found.wheel)
+    m = len(found.r)
     if not m:
         return Found([], ["frequency response: no stretch is long enough for it"])
-    response, coherence = found.response("r")
+    response, coherence = found.response(found.r)
     use = np.asarray(coherence >= COHERENCE)
     use &= m > 1 or manoeuvre.required.form != "random"  # of one segment it is 1, whatever it says
     if use.sum() < 8:
         return Found([], [f"frequency response: {use.sum()} frequencies of coherence {COHERENCE:g}, expected 8"])
-    weight = np.abs(response[use]) * np.sqrt(found.wheel.mean(axis=0)[use])  # as of white noise in the yaw rate
+    weight = np.abs(response[use]) * np.sqrt((np.abs(found.delta_sw) ** 2).mean(axis=0)[use])  # as of white noise in r
     weight /= weight.mean()
     whole = second_order(found.f[use], response[use], weight)
     values, left_out = _read(whole), list[Row]()
     for k in range(m if m > 1 else 0):
-        part, _ = found.response("r", np.arange(m) != k)
+        part, _ = found.response(found.r, np.arange(m) != k)
         left_out.append(_read(second_order(found.f[use], part[use], weight, whole)))
     results = []
     for name, value in values.items():
@@ -499,7 +496,7 @@ def _frequency(manoeuvre: Manoeuvre, runs: list[Run], vehicle: Vehicle) -> Found
             value = m * value - (m - 1) * float(np.mean(without))  # less its bias
         beyond = name in ("natural_frequency", "damping") and values["natural_frequency"] > 2.0 * found.f[-1]
         results.append(result(name, value, half, m, BEYOND if beyond else ""))
-    curves = {"f": found.f, "response": response, "coherence": coherence, "response_a_y": found.response("a_y")[0]}
+    curves = {"f": found.f, "response": response, "coherence": coherence, "response_a_y": found.response(found.a_y)[0]}
     curves["model"] = model(whole, found.f)
     return Found(results, [] if m > 1 else ["frequency response: one repeat, so no interval"], curves)
 

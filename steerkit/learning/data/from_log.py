@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -64,7 +65,8 @@ def as_driven(drive: Any, vehicle: Vehicle, *, delay: float = 0.0, lag: float = 
     lag d(delta_sw)/dt)(t + delay); 0: it is the command. Raises ValueError for another clock, and for delays and lags
     that are not within 0 to 0.6 s.
     """
-    from scipy.signal import savgol_filter  # loads as slowly as all else that a drive needs
+    from scipy.integrate import cumulative_trapezoid  # SciPy loads as slowly as all else that a drive needs
+    from scipy.signal import savgol_filter
 
     where, dt = drive.name, drive.dt
     require(abs(dt - DT) < 1e-9, where, f"a clock of {dt:g} s, expected {DT:g} s: read_drive(..., dt={DT:g})")
@@ -73,9 +75,10 @@ def as_driven(drive: Any, vehicle: Vehicle, *, delay: float = 0.0, lag: float = 
         require_within(where, name, late, "s", 0.0, LONGEST * DT)
     t, v, r = np.arange(len(drive.v)) * dt, np.maximum(drive.v, 0.1), drive.r
     l_f, l_r, length = float(vehicle.l_f), float(vehicle.l_r), float(vehicle.wheelbase)
-    psi = _integral(r, dt)
+    integral = partial(cumulative_trapezoid, dx=dt, initial=0.0)
+    psi = integral(r)
     beta = np.arctan((l_r - float(vehicle.m) * l_f * v * v / (length * float(vehicle.c_r))) * r / v)
-    x, y = _integral(v * np.cos(psi + beta), dt), _integral(v * np.sin(psi + beta), dt)
+    x, y = integral(v * np.cos(psi + beta)), integral(v * np.sin(psi + beta))
     px, py = x + l_f * np.cos(psi), y + l_f * np.sin(psi)
     smooth = [[savgol_filter(z, SMOOTH, 3, deriv=n, delta=dt) for z in (px, py)] for n in range(3)]
     (sx, sy), (dx, dy), (ddx, ddy) = smooth
@@ -83,7 +86,7 @@ def as_driven(drive: Any, vehicle: Vehicle, *, delay: float = 0.0, lag: float = 
     kappa = (dx * ddy - dy * ddx) / along**3
     psi_e = np.arctan2(np.sin(psi) * dx - np.cos(psi) * dy, np.cos(psi) * dx + np.sin(psi) * dy)
     command = np.interp(t + delay, t, drive.delta_sw + lag * np.gradient(drive.delta_sw, dt))
-    s = _integral(along, dt)
+    s = integral(along)
     signals = {
         "path.e": (dx * (py - sy) - dy * (px - sx)) / along,
         "path.e_dot": v * np.sin(psi_e + beta) + r * l_f * np.cos(psi_e),
@@ -130,10 +133,6 @@ def transitions_of(
     record = Transitions(tuple(SIGNALS), s[row], action[row], s[row + 1], episode, False)
     log.signals["controller.action"] = np.append(action, 0.0)
     return record, log
-
-
-def _integral(rate: Array, dt: float) -> Array:
-    return np.concatenate(([0.0], np.cumsum(0.5 * dt * (rate[1:] + rate[:-1]))))
 
 
 @dataclass(frozen=True, kw_only=True)

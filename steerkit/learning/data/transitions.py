@@ -19,24 +19,20 @@ if TYPE_CHECKING:
 class Transitions:
     """A growing record of transitions in contiguous arrays.
 
-    s, s_next: (n, columns) float64, SI; a: (n,) float64 [rad]; episode: (n,) int64; own: (n,) bool, False where another
-    than the learner steered, such as the recovery controller: that teaches how the car answers, and no Q-function.
-    Consecutive rows of one episode are consecutive samples; whoever records starts a new episode number at every break
-    in time. Appending costs O(1) on average: the arrays double. The attributes of these names are read-only views of
-    what is recorded so far; a view taken earlier stays valid and does not grow. Non-finite rows are refused with
-    ValueError. rows: what is recorded at first, as for `extend`.
+    s, s_next: states and those one sample later (n, columns) float64, SI; a: actions (n,) float64 [rad]; episode: their
+    numbers (n,) int64; own: (n,) bool, False where another than the learner steered, such as the recovery controller:
+    that teaches how the car answers, and no Q-function. Consecutive rows of one episode are consecutive samples;
+    whoever records starts a new episode number at every break in time. Appending costs O(1) on average: the arrays
+    double. The attributes of these names are read-only views of what is recorded so far; a view taken earlier stays
+    valid and does not grow. Non-finite rows are refused with ValueError. rows: what is recorded at first, as for
+    `extend`.
     """
 
     s: NDArray[np.float64]
-    """States (n, columns)."""
     a: NDArray[np.float64]
-    """Actions (n,) [rad]."""
     s_next: NDArray[np.float64]
-    """States one sample later (n, columns)."""
     episode: NDArray[np.int64]
-    """Episode numbers (n,)."""
     own: NDArray[np.bool_]
-    """Did the learner steer (n,)?"""
 
     def __init__(self, names: Sequence[str] = StateDescription().names, *rows: ArrayLike):
         require(len(names) > 0, "Transitions", "names is empty, expected the state's columns")
