@@ -105,6 +105,14 @@ def check_numbers(of: Any, where: str) -> None:
             require_within(where, f.name, value, unit, low, high, above=above)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Checked:
+    """A dataclass whose fields made by `number` are in their ranges: ValueError, in the name of its class, else."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self, type(self).__name__)
+
+
 def whole_samples(where: str, name: str, value: Any, dt: float) -> int:
     """How many samples of dt [s] a pure delay lasts; raises ValueError unless it is a whole number of them, 0 to 1000.
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import require
+from steerkit._support.errors import Checked, number
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import State
 from steerkit.task import DT
@@ -84,7 +84,7 @@ def felt(car: Any, doe: Any, slow: Any, before: Any, v: Any) -> tuple[Any, Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SteeringAnswer:
+class SteeringAnswer(Checked):
     """The learned numbers by which a car answers its steering wheel: see `moved`, and `felt`."""
 
     now: float = 0.0
@@ -133,22 +133,14 @@ class DelayCompensator(SteeringAnswer):
     Source: Walsh, Nouri, Li, Littman 2009 (learning with constant delay by simulating the model over it); Smith 1957.
     """
 
-    samples: int = 0
+    samples: int = number(0, low=0, high=LONGEST)
     """Dead time in samples: whole ones; what is left of one is in the other numbers."""
-    trust: float = 1.0
+    trust: float = number(1.0, above=0.0, high=1.0)
     """Share of the measurement in the filtered w and r_e [1]."""
-    trust_course: float = 1.0
+    trust_course: float = number(1.0, above=0.0, high=1.0)
     """Share of the measurement in the filtered e and c [1]."""
     dt: float = DT
     """Sample time [s]."""
-
-    def __post_init__(self) -> None:
-        where, samples = "DelayCompensator", self.samples
-        whole = isinstance(samples, int) and 0 <= samples <= LONGEST
-        require(whole, where, f"samples = {samples!r}, expected 0 to {LONGEST}")
-        for name in ("trust", "trust_course"):
-            trust = getattr(self, name)
-            require(0.0 < trust <= 1.0, where, f"{name} = {trust}, expected 0 < {name} <= 1")
 
     def ahead(self, x: State, u: Any) -> tuple[Any, ...]:
         """The policy's six inputs (e, e_dot, v, psi_e, r_e, doe) when its command acts; x, u: see `remember`."""

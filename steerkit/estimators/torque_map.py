@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steerkit._support.errors import check_numbers, number
+from steerkit._support.errors import Checked, number
 
 _RIDGE = 1e-6
 
@@ -30,7 +30,7 @@ class LateralMap(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TorqueMap:
+class TorqueMap(Checked):
     """Least squares, with forgetting, of the lateral acceleration on torque, direction of turning and a constant.
 
         a_y = gain u - gain friction sign(da_y/dt) + offset,  u in [-1, 1], the share of the largest torque
@@ -58,9 +58,6 @@ class TorqueMap:
     """How far the gain may be off the data sheet's [1]; friction: twice that."""
     slowest_turn: float = number(0.1, "m/s^3", above=0.0)
     """|da_y/dt| from which friction has a direction [m/s^3]."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "TorqueMap")
 
     def init(self) -> TorqueFit:
         """Nothing seen yet: the data sheet, with little weight."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steerkit._support.errors import check_numbers, number, require
+from steerkit._support.errors import Checked, check_numbers, number, require
 from steerkit.controllers.policy import DOE, R_E, E, V
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Array
@@ -136,7 +136,7 @@ class TanhCost(_Limits):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SmoothCost:
+class SmoothCost(Checked):
     """Another cost, and a price on jerk and on turning the steering wheel fast.
 
         c = cost + jerk_cost * min(1, (j/jerk_unit)^2) + wheel_cost * min(1, (change/wheel_unit)^2);   terminal: 1
@@ -158,9 +158,6 @@ class SmoothCost:
     """[rad]"""
     dt: float = number(DT, "s", above=0.0)
     """Sample time [s]."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "SmoothCost")
 
     def __call__(self, s: Array, a: Array, s_next: Array) -> Costs:
         c, failed = self.cost(s, a, s_next)

@@ -64,7 +64,7 @@ class PathTracker(Block):
     path: Path
     reference: Scalar = number(0.0, "m", low=-1e3, high=1e3)
     window: float = number(1.0, "m", above=0.0)
-    preview_points: int = 0
+    preview_points: int = number(0, low=0)
     preview_dt: float = number(DT, "s", above=0.0, high=3600.0)
 
     class X(NamedTuple):
@@ -77,8 +77,6 @@ class PathTracker(Block):
         require(isinstance(self.path, Path), where, f"path is a {type(self.path).__name__}, expected a steerkit Path")
         fits = not self.path.closed or self.window <= self.path.length
         require(fits, where, f"window {self.window} [m], expected at most a round of {self.path!r}")
-        count = self.preview_points
-        require(isinstance(count, int) and count >= 0, where, f"preview_points {count!r}, expected a count >= 0")
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         return self.X(np.zeros(batch), np.zeros(batch)) if batch else self.X(0.0, 0.0)

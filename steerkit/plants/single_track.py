@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from steerkit._support.errors import number, require, require_within
+from steerkit._support.errors import number, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.maths import Scalar
@@ -58,14 +58,9 @@ class IntegratedCar(Car):
     """Start heading [rad]."""
     v0: Scalar = number(0.0, "m/s", low=0.0, high=100.0)
     """Speed before the first sample [m/s]."""
-    substeps: int = 1
+    substeps: int = number(1, low=1)
     """Integration steps a sample."""
     dt: float = number(0.01, "s", above=0.0, high=1.0)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        where = type(self).__name__
-        require(isinstance(self.substeps, int) and self.substeps >= 1, where, f"substeps = {self.substeps!r}, >= 1")
 
 
 class SingleTrackState(NamedTuple):

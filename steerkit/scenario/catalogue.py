@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from steerkit._support.errors import check_numbers, in_one_line, known, number, require
+from steerkit._support.errors import Checked, in_one_line, known, number, require
 from steerkit._support.plugins import imported, is_outside
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
@@ -35,7 +35,7 @@ _LONGEST = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class DesignModel:
+class DesignModel(Checked):
     """What a controller is designed for: car, course and steering as they are believed; the truth may be another.
 
     `Scenario.design_model` and `CarConfig` give one; by hand:
@@ -69,9 +69,6 @@ class DesignModel:
     """Time within which a predictive controller has to answer [s]; None: any, so that a drive can be repeated."""
     clock: Callable[[], float] | None = None
     """Seconds, for the budget; None: no time is taken."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "DesignModel")
 
 
 @dataclass(frozen=True)

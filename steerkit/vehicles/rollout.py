@@ -7,7 +7,7 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import check_numbers, number, require
+from steerkit._support.errors import Checked, number, require
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
@@ -28,7 +28,7 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rollout:
+class Rollout(Checked):
     """A car and its steering as they are believed, rolled forward beside a path; for predictors and safety filters.
 
         delta_sw' = (command(t - delay) - delta_sw)/lag  within +-fastest,  delta = delta_sw/steer_ratio,
@@ -73,9 +73,6 @@ class Rollout:
     """Time between two commands [s]."""
     preview_dt: float = number(DT, "s", above=0.0)
     """Time between two entries of the preview [s]."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "Rollout")
 
     @classmethod
     def of(cls, vehicle: Vehicle, **settings: float | None) -> "Rollout":
@@ -300,7 +297,7 @@ class GateLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GateModel:
+class GateModel(Checked):
     """How far a gate before the bus lets the wheel turn in a sample, at the most and at the least; for roll-outs.
 
     A gate bounds the angle, its rate, and what the car would feel: kappa = tan(delta_sw/steer_ratio)/(L + K v^2) within
@@ -324,9 +321,6 @@ class GateModel:
     """By how much faster than believed the gate may take the car to be [m/s]: the faster of two sources counts."""
     frame_dt: float = number(0.02, "s", low=1e-3, high=1.0)
     """Time between two frames [s]."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "GateModel")
 
     @property
     def turning(self) -> float:

@@ -177,7 +177,7 @@ def test_more_than_a_round_in_a_sample_leaves_the_search_where_it_was():
     ("field", "value", "message"),
     [
         ("window", 900.0, r"window 900.0 \[m\], expected at most a round of Path\('paper', closed, 79"),
-        ("preview_points", -1, r"preview_points -1, expected a count >= 0"),
+        ("preview_points", -1, r"preview_points = -1 \[1\], expected >= 0"),
     ],
 )
 def test_wrong_parameters_are_refused(field, value, message):
