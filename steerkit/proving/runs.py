@@ -237,6 +237,7 @@ DT = 0.01
 """Sample time of an open-loop run [s]."""
 _MARGIN = 5.0  # m: so far before the end of an open course a run ends
 _straight = lru_cache(maxsize=8)(straight)  # runs of a manoeuvre have equal ones
+_LAG = 0.12  # s: of the steering of a fleet's cars
 _OPEN = ("m", "i_z", "l_f", "l_r", "c_f", "c_r", "steer_ratio")
 
 
@@ -332,24 +333,22 @@ def run_of(log: Log, manoeuvre: Manoeuvre, side: str, number: int, start: float,
     return Run(t=log.t + start, signals=signals, side=side, number=number)
 
 
-def of_fleet(
-    manoeuvre: Manoeuvre, cars: Sequence[FleetCar], *, lag: float = 0.12
-) -> Iterator[tuple[FleetCar, list[Run]]]:
+def of_fleet(manoeuvre: Manoeuvre, cars: Sequence[FleetCar]) -> Iterator[tuple[FleetCar, list[Run]]]:
     """The runs of many production cars, in batches of a compiled program.
 
     Each has its own dead time and is steered by the angle that its data ask, or on a course by `stanley-delay`, which
-    knows it; lag: of their steering [s]. The cars are linear single tracks, as of stiffness is all that is known of
+    knows it; all have a lag of 0.12 s. The cars are linear single tracks, as of stiffness is all that is known of
     their tyres. A run to the left alone: to the right it is the same, mirrored.
     """
     if manoeuvre.input is None:
-        yield from _on_course(manoeuvre, cars, lag)
+        yield from _on_course(manoeuvre, cars)
         return
     wait, v = _wait(manoeuvre), manoeuvre.conditions.v
     sizes = np.array([manoeuvre.required.angle(car.vehicle, v) for car in cars])
     late = np.array([car.steer_delay for car in cars])
     wave = np.concatenate((np.zeros(round(wait / DT)), np.median(sizes) * manoeuvre.required.wave))
     play = Playback(angles=tuple(wave.tolist()), speeds=(v,) * len(wave), dt=DT)
-    actuator = SteeringActuator(lag=lag, limit=30.0, rate_limit=200.0, dt=DT)
+    actuator = SteeringActuator(lag=_LAG, limit=30.0, rate_limit=200.0, dt=DT)
     car = LinearSingleTrack(vehicle=cars[0].vehicle, v0=v, dt=DT)
     loop = Loop(
         blocks={"controller": play, "actuator": actuator, "car": car},
@@ -364,11 +363,11 @@ def of_fleet(
         yield each, [run_of(log, manoeuvre, "left", 1, -wait, k)]
 
 
-def _on_course(manoeuvre: Manoeuvre, cars: Sequence[FleetCar], lag: float) -> Iterator[tuple[FleetCar, list[Run]]]:
+def _on_course(manoeuvre: Manoeuvre, cars: Sequence[FleetCar]) -> Iterator[tuple[FleetCar, list[Run]]]:
     """The runs of a manoeuvre on a course: cars of one dead time are a batch."""
     for delay in sorted({round(car.steer_delay, 2) for car in cars}):
         group = [car for car in cars if round(car.steer_delay, 2) == delay]
-        steering = {"delay": delay, "lag": lag}
+        steering = {"delay": delay, "lag": _LAG}
         scenarios = [
             Scenario(vehicle={"name": car.vehicle.name, "plant": "linear"}, steering=steering) for car in group
         ]
