@@ -222,7 +222,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
             Job(car, speed, factor, name, seed, 15.2 if quick else options.seconds, clean)
             for seed in seeds
             for car in cars
-            for name in (AUTO, *options.controllers)
+            for name in dict.fromkeys((AUTO, *options.controllers))
             for speed in CARS[car].speeds[: 1 if quick else None]
             for factor in (("1",) if quick else options.told)
         ]

@@ -55,6 +55,8 @@ class OffsetFree(Wrapper):
     surprise: Scalar = number(0.015, "m", low=1e-4, high=1e3)
     """Mean of e + T e' over `time`, each counted up to twice this, beyond which d is another one [m]: tau is `time`
     again, and grows anew."""
+    v_full: Scalar | None = number(None, "m/s", above=0.0)
+    """Speed above which `block` is slower, by v/v_full, and T and tau are longer [m/s]; None: nowhere."""
     most: Scalar = number(radians_of(60.0), "rad", low=0.0, high=30.0)
     """Largest |z| [rad]."""
     reach: Scalar = number(TRIP, "m", low=1e-3, high=1e3)
@@ -93,9 +95,11 @@ class OffsetFree(Wrapper):
         z, clock, usual, e_before, before = x[-5:]
         inner = self.block.update(t, self.inner(x), u, y._replace(delta_sw=y.delta_sw - z))
         v = m.maximum(u.v, self.v_least)
-        beyond = self.dt * u.e + self.approach * (u.e - e_before)  # (e + T e') dt
-        time = m.maximum(self.time, m.minimum(_SHARE * clock, self.time_late))
-        change = -self.steer_ratio / (v * self.approach * time) * beyond
+        slower = 1.0 if self.v_full is None else m.maximum(v / self.v_full, 1.0)
+        approach = self.approach * slower
+        beyond = self.dt * u.e + approach * (u.e - e_before)  # (e + T e') dt
+        time = slower * m.maximum(self.time, m.minimum(_SHARE * clock, self.time_late))
+        change = -self.steer_ratio / (v * approach * time) * beyond
         on_path = m.both(m.absolute(u.e) <= self.reach, u.v >= self.v_least)
         fastest = 0.99 * self.rate_limit * self.dt
         free = m.both(m.absolute(y.delta_sw) < self.limit, m.absolute(y.delta_sw - before) < fastest)

@@ -121,6 +121,18 @@ def test_a_constant_that_is_known_is_moved_less() -> None:
     assert z_after(settled, (*inner, 0.0, 1000.0, 0.0, 0.01, 0.1)) == moved(0.0)
 
 
+def test_where_the_law_is_slower_both_times_grow_with_it() -> None:
+    """z' = -n/(v T tau) (e + T e'), T and tau each twice as long at twice v_full; below it nothing changes."""
+    law = OffsetFree.around(Stanley.of(PASSAT), PASSAT)
+    slower = replace(law, v_full=3.0)
+    twice = replace(law, approach=2.0 * law.approach, time=2.0 * law.time)
+    at_rest = law.init()
+    moving = (*at_rest[:-2], 0.004, at_rest[-1])  # e' counts, too
+    assert z_after(slower, moving) == pytest.approx(z_after(twice, moving), rel=1e-12)
+    assert z_after(slower, moving) != pytest.approx(z_after(law, moving), rel=0.1)
+    assert z_after(slower, moving, v=2.5) == z_after(law, moving, v=2.5)
+
+
 def after(block: OffsetFree, *pieces: tuple[float, float]) -> Any:
     """The state after e [m] was measured for so long [s], each piece in turn, by a wheel that follows at once."""
     x = block.settle(0.0, block.init(), block.U(**HERE | {"e": 0.0}))

@@ -152,7 +152,8 @@ def test_the_fitting_recovery_adapts_and_is_softer_where_torque_steers() -> None
     assert isinstance(by_torque, Adaptive)
     assert (by_angle.delays, by_angle.prior_delay) == (tuple(i / 10.0 for i in range(9)), 0.25)
     assert {one.block.share for one in by_angle.blocks} == {1.0}  # type: ignore[attr-defined]
-    assert {(one.model.slew, one.block.share) for one in by_torque.blocks} == {(5.0, 0.2)}  # type: ignore[attr-defined]
+    laws: Any = [one.block for one in by_torque.blocks]  # type: ignore[attr-defined]
+    assert {(law.model.slew, law.block.share) for law in laws} == {(5.0, 0.2)}
     alone = make_recovery("auto", BELIEF, alone=True)
     assert "doe" not in {port.name for port in alone.inputs}, "there is nobody else whose commands it should watch"
 
@@ -196,7 +197,9 @@ def test_by_torque_the_fastest_law_is_taken_that_is_damped_at_all_corners_of_the
     recovery: Any = make_recovery("auto", belief)
     law = recovery.blocks[5]
     assert damped(law) >= 0.02
-    assert damped(replace(law, block=replace(law.block, v_full=None))) < 0.02
+    assert damped(replace(law, time=20.0)) < 0.02 < damped(replace(law, time=30.0))
+    faster = replace(law.block.block, v_full=None)
+    assert damped(replace(law.block, block=faster)) < 0.02 < damped(law.block)
     lqr: Any = make_controller("lqr-adaptive", belief)
     assert damped(lqr.blocks[5].block) >= 0.02
     assert damped(make_controller("lqr", belief)) < 0.0, "made for what is told alone"
