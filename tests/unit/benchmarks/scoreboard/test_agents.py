@@ -2,7 +2,11 @@
 
 import argparse
 import math
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import replace
+from importlib.util import find_spec
+from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -223,23 +227,40 @@ def test_a_network_at_the_wheel_steers_as_its_policy_block() -> None:
     assert math.isnan(wheel.output(0.0, (), wheel.U(math.nan, *map(float, s[1:]))).action)
 
 
-def test_what_was_compiled_for_one_run_changes_nothing_in_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("sbx", reason="sbx-rl is of the extra peers")
-    monkeypatch.setattr(agents, "_COMPILED", {})
+@pytest.fixture(scope="module")
+def apart() -> Iterator[Executor]:
+    """A process for what imports JAX: where JAX is imported, no program of a later test could be a fork."""
+    if find_spec("sbx") is None:
+        pytest.skip("sbx-rl is of the extra peers")
+    with pytest.MonkeyPatch.context() as patch, ProcessPoolExecutor(1, mp_context=get_context("fork")) as process:
+        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")  # they take longer than its few steps
+        yield process
+
+
+def _run(job: Job) -> tuple[str, int]:
+    """What came of it, to the time that it took; how much has been compiled."""
+    return repr(replace(agents.one_run(job), computing=0.0)), len(agents._COMPILED)
+
+
+def test_what_was_compiled_for_one_run_changes_nothing_in_the_next(apart: Executor) -> None:
     job = Job("sac+model", 1, 0, 0.07, 60.0)  # it trains from the third second on
-
-    def run(job: Job) -> str:
-        return repr(replace(agents.one_run(job), computing=0.0))
-
-    alone, other = run(job), run(replace(job, seed=2))
-    assert len(agents._COMPILED) == 3
-    assert run(job) == alone != other
+    alone, other, again = apart.map(_run, [job, replace(job, seed=2), job])
+    assert other[1] == 3
+    assert again == alone != other
 
 
 @pytest.mark.parametrize("agent", ["crossq", "ppo"])
-def test_the_net_that_is_test_driven_is_the_agents_own(agent: str) -> None:
+def test_the_net_that_is_test_driven_is_the_agents_own(agent: str, apart: Executor) -> None:
     """With normalisation, `tanh` outside and `relu` inside; without, the limit outside and `tanh` inside."""
-    jax = pytest.importorskip("jax", reason="sbx-rl is of the extra peers")
+    asked, answered = apart.submit(_asked, agent).result()
+    assert np.abs(answered - asked).max() < 1e-5
+    assert np.ptp(asked) > 0.1
+
+
+def _asked(agent: str) -> tuple[Any, Any]:
+    """What an agent whose nets were changed at random does, and what the network made of it does."""
+    import jax
+
     model, _, _ = agents._made(Job(agent, 0, 0, 1.0, 60.0), agents.drawn(agent, 0))
     rng = np.random.default_rng(0)
 
@@ -250,9 +271,7 @@ def test_the_net_that_is_test_driven_is_the_agents_own(agent: str) -> None:
     parts = [name for name in ("params", "batch_stats") if hasattr(state, name)]
     model.policy.actor_state = state.replace(**{name: jax.tree.map(changed, getattr(state, name)) for name in parts})
     seen = rng.uniform(-2.0, 2.0, (50, 6)).astype(np.float32)
-    asked = model.predict(seen, deterministic=True)[0][:, 0]
-    assert np.abs(agents.network(model)(seen) - asked).max() < 1e-5
-    assert np.ptp(asked) > 0.1
+    return model.predict(seen, deterministic=True)[0][:, 0], agents.network(model)(seen)
 
 
 def test_a_car_that_failed_goes_on_where_it_failed() -> None:
