@@ -82,43 +82,37 @@ class CarLearner(contextlib.ExitStack):
         with contextlib.ExitStack() as stack:
             stack.push(self)
             self.enter_context(held(place))
-            self._begin(config, path, seed, clock, trainer)
+            _claim(place, setting)
+            self.store = TransitionStore(place / "transitions.db", run=RUN, names=setting.recorded())
+            self.callback(self.store.close)
+            saved = sorted((place / "nets").glob("net-*.npz"))
+            net = int(saved[-1].stem.split("-")[1]) if saved else 0
+            policy = NfqPolicy.load(saved[-1]) if saved else untrained(setting, seed)
+            if not saved:
+                policy.save(rundir.net_file(place, 0))
+            self.trainer = trainer or Trainer(
+                learned=Learned(policy.nets or (), policy.forecast) if net else NOTHING_LEARNED
+            )
+            self.callback(self.trainer.close)
+            self.learner_state = LearnerState(
+                setting=setting,
+                seed=seed,
+                policy=policy,
+                net=net,
+                trainer=self.trainer,
+                transitions=self.store.transitions(),
+                also=self.store.append,
+            )
+            design_model = design_model_of(config)
+            self._element, self._believed, self._variant = setting.element(design_model.vehicle), design_model.delay, ""
+            how: dict[str, Any] = {"recovery": self.recovery, "safe": setting.safe, "clock": clock}
+            resting = replace(policy, ready_from=math.inf)
+            self._idle = car_loop(config, path, self.link, resting, doe=self._element, **how)
+            self.filter_faults: Counter[str] = Counter()
+            """What went wrong in the safety filter, and how often."""
+            self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy))
+            self._inputs = state_signals(setting, self._idle.inputs_of("controller"))
             stack.pop_all()
-
-    def _begin(
-        self, config: CarConfig, path: Path, seed: int, clock: Callable[[], float] | None, trainer: Trainer | None
-    ) -> None:
-        setting, place = self.setting, self.place
-        _claim(place, setting)
-        self.store = TransitionStore(place / "transitions.db", run=RUN, names=setting.recorded())
-        self.callback(self.store.close)
-        saved = sorted((place / "nets").glob("net-*.npz"))
-        net = int(saved[-1].stem.split("-")[1]) if saved else 0
-        policy = NfqPolicy.load(saved[-1]) if saved else untrained(setting, seed)
-        if not saved:
-            policy.save(rundir.net_file(place, 0))
-        self.trainer = trainer or Trainer(
-            learned=Learned(policy.nets or (), policy.forecast) if net else NOTHING_LEARNED
-        )
-        self.callback(self.trainer.close)
-        self.learner_state = LearnerState(
-            setting=setting,
-            seed=seed,
-            policy=policy,
-            net=net,
-            trainer=self.trainer,
-            transitions=self.store.transitions(),
-            also=self.store.append,
-        )
-        design_model = design_model_of(config)
-        self._element, self._believed, self._variant = setting.element(design_model.vehicle), design_model.delay, ""
-        how: dict[str, Any] = {"recovery": self.recovery, "safe": setting.safe, "clock": clock}
-        resting = replace(policy, ready_from=math.inf)
-        self._idle = car_loop(config, path, self.link, resting, doe=self._element, **how)
-        self.filter_faults: Counter[str] = Counter()
-        """What went wrong in the safety filter, and how often."""
-        self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy))
-        self._inputs = state_signals(setting, self._idle.inputs_of("controller"))
 
     def run(self, duration: float, *, clock: Clock | None = None, watch: Callable[[Run], bool] | None = None) -> Run:
         """Drive and learn for `duration` [s]; the human engages when it is time."""

@@ -144,16 +144,6 @@ UNIT_FACTORS = {"": 1.0, "1": 1.0, **{unit: one for units in FACTORS.values() fo
 """Units that a signal may be in, and what one of them is in SI."""
 
 
-def crc8_2f(data: bytes) -> int:
-    """CRC-8 with polynomial 0x2F, start 0xFF, final XOR 0xFF; of b"123456789" it is 0xDF.
-
-    Source: AUTOSAR, Specification of CRC Routines, Crc_CalculateCRC8H2F.
-    """
-    from fastcrc import crc8
-
-    return crc8.autosar(data)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Mapping:
     """One quantity of ours as one signal of a frame: value = sign*scale*factor(unit)*physical + offset."""
@@ -267,8 +257,13 @@ class FrameReader:
 
 
 def frame_crc(data: bytes, crc_byte: int, frame_id: int) -> int:
-    """The CRC of a frame whose byte `crc_byte` holds it."""
-    return crc8_2f(data[:crc_byte] + data[crc_byte + 1 :] + bytes((frame_id & 0xFF, frame_id >> 8 & 0xFF)))
+    """The CRC of a frame whose byte `crc_byte` holds it: polynomial 0x2F, start 0xFF, final XOR 0xFF.
+
+    Source: AUTOSAR, Specification of CRC Routines, Crc_CalculateCRC8H2F.
+    """
+    from fastcrc import crc8
+
+    return crc8.autosar(data[:crc_byte] + data[crc_byte + 1 :] + bytes((frame_id & 0xFF, frame_id >> 8 & 0xFF)))
 
 
 def signal_range(signal: Any) -> tuple[float, float]:

@@ -109,7 +109,7 @@ def identify(
         fits = {"fit": identified.fit} | ({"held_out": prediction} if prediction else {})
         answer = {
             "vehicle": identified.vehicle.name,
-            "estimates": identified.intervals,
+            "estimates": intervals(identified.estimates),
             "correlation_time": identified.correlation_time,
             "ahead": {"seconds": HORIZONS} | asdict(ahead),
             "notes": [*identified.drive.notes, *identified.notes, *filter(None, [agrees])],

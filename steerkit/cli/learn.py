@@ -32,7 +32,7 @@ from steerkit.learning.pictures import draw_all, film_of
 from steerkit.learning.report import in_lines, show_several
 from steerkit.learning.settings import BANG_BANG, DEFAULT, changed
 from steerkit.learning.settings import setting as named
-from steerkit.logs import ColumnMap, read_drive
+from steerkit.logs import read_drive
 from steerkit.plots import drive as figures
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
@@ -95,8 +95,7 @@ def learn(
     if source:
         for name in shared.given(ctx) & {"car", "minutes", "rounds", "config", "live", "stream"}:
             raise ValueError(f"--{name} is for a car that drives: leave it out, or leave out --from")
-        how: dict[str, Any] = {"delay": delay, "lag": lag, "updates": updates, "dbc": dbc or ()}
-        _from_log(ctx, options, source, column_map(columns, column), out, **how)
+        _from_log(ctx, options)
         return
     if options.car:
         place = out or loops.LEARNED
@@ -139,22 +138,13 @@ def learn(
         print(json.dumps(report.figures_of_merit(run)), flush=True)
 
 
-def _from_log(
-    ctx: typer.Context,
-    options: shared.DriveOptions,
-    files: list[str],
-    columns: ColumnMap,
-    out: Path | None,
-    *,
-    delay: float | None,
-    lag: float,
-    updates: int,
-    dbc: Any,
-) -> None:
+def _from_log(ctx: typer.Context, options: shared.DriveOptions) -> None:
     """Learn from a recorded drive, and show what came of it."""
     console.stderr = options.as_json
     experiment = replace(_experiment(ctx, None, None), minutes=1.0)
-    drive = read_drive(files, columns, dbc=dbc, dt=DT, steer_ratio=float(experiment.scenario.nominal.steer_ratio))
+    p, ratio = ctx.params, float(experiment.scenario.nominal.steer_ratio)
+    columns, delay, lag = column_map(p["columns"], p["column"]), p["delay"], p["lag"]
+    drive = read_drive(p["source"], columns, dbc=p["dbc"] or (), dt=DT, steer_ratio=ratio)
     told = delay is not None or lag > 0.0
     said = "delta_sw is a command by its channel's name; --delay and --lag are for the angle of a wheel"
     require(not (drive.commanded and told), drive.name, said)
@@ -167,20 +157,18 @@ def _from_log(
     if not options.quiet:
         for note in (*drive.notes, *filter(None, [assumed])):
             console.print(note, soft_wrap=True, highlight=False, markup=False)
-    name = Path(files[0]).name.partition(".")[0]
-    place = (
-        out
-        or Path("runs") / f"from-{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{options.seed}"
-    )
+    name = Path(p["source"][0]).name.partition(".")[0]
+    default = f"from-{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{options.seed}"
+    place = Path(p["out"] or Path("runs") / default)
     with Progress(console=console, disable=options.quiet or not console.is_terminal) as bar:
-        task = bar.add_task("updates", total=updates)
+        task = bar.add_task("updates", total=p["updates"])
         run = from_log(
             drive,
             experiment,
             place,
             delay=delay or 0.0,
             lag=lag,
-            updates=updates,
+            updates=p["updates"],
             watch=lambda n: bar.update(task, completed=n),
         )
     assert run.source is not None

@@ -170,73 +170,54 @@ class _Part:
 
     def header(self, name: str) -> str:
         """The text of <name>.h."""
-        guard = f"{name.upper()}_H"
-        lines = [
-            f"/* {name}: made by steerkit's export_c; SI units and radians. */",
-            f"#ifndef {guard}",
-            f"#define {guard}",
-            "",
-        ]
-        lines.append(f"#define {name.upper()}_DT {c_number(self.trace.loop.dt)} /* [s] */")
+        numbers = ""
         for block_name, block in self.trace.loop.blocks.items():
-            if block_name != "inputs":
-                for field, value in _numbers(block):
-                    macro = "_".join([name, *([block_name] if block_name != "block" else []), field]).upper()
-                    lines.append(f"#define {macro} {c_number(value)}" if field != "dt" else "")
-        lines += [
-            "",
-            "typedef struct {",
-            f"  unsigned phase; /* sample number modulo {len(self.trace.ticks)} */",
-            "  double k; /* sample number */",
-        ]
-        lines += [f"  double {field};" for field in self.state.values()]
-        lines += [f"}} {name}_state;", "", "typedef struct {"]
-        lines += [f"  double {field}; /* [{unit}] */" for field, unit in self.inputs.items()] or ["  double none;"]
-        lines += [f"}} {name}_inputs;", "", "typedef struct {"]
-        lines += [f"  double {field}; /* [{unit}] */" for field, _, unit in self.results]
-        step = f"void {name}_step({name}_state *s, const {name}_inputs *u, {name}_outputs *y);"
-        lines += [f"}} {name}_outputs;", "", f"void {name}_init({name}_state *s);", step, "", "#endif", ""]
-        return "\n".join(line for i, line in enumerate(lines) if line or lines[i - 1])
+            named = [name] if block_name == "block" else [name, block_name]
+            fields = {"_".join([*named, field]).upper(): value for field, value in _numbers(block)}
+            numbers += "\n" * bool(fields)
+            numbers += "".join(f"#define {macro} {c_number(value)}\n" for macro, value in fields.items())
+        inputs = [f"  double {field}; /* [{unit}] */\n" for field, unit in self.inputs.items()]
+        return from_template(
+            "block.h.in",
+            name=name,
+            guard=name.upper(),
+            dt=c_number(self.trace.loop.dt),
+            numbers=numbers,
+            period=len(self.trace.ticks),
+            state="".join(f"  double {field};\n" for field in self.state.values()),
+            inputs="".join(inputs or ["  double none;\n"]),
+            outputs="".join(f"  double {field}; /* [{unit}] */\n" for field, _, unit in self.results),
+        )
 
     def source(self, name: str) -> str:
         """The text of <name>.c."""
-        state, inputs, slots = self.state, list(self.inputs), len(self.trace.layout)
-        ticks = []
-        for number, (tick, _) in enumerate(self.trace.kinds):
+        state, inputs = self.state, list(self.inputs)
+        assert len(self.trace.layout) == len(self.start)
 
-            def text(slot: int) -> str:
-                if slot == 0:
-                    return "s->k"
-                return f"u->{inputs[slot - 1]}" if slot <= len(inputs) else f"s->{state[slot - 1]}"
+        def text(slot: int) -> str:
+            if slot == 0:
+                return "s->k"
+            return f"u->{inputs[slot - 1]}" if slot <= len(inputs) else f"s->{state[slot - 1]}"
 
-            wanted = [*state, *(slot for _, slot, _ in self.results)]
-            roots = [tick.roots[slot] for slot in wanted]
-            names = [*(f"s->{field}" for field in state.values()), *(f"y->{field}" for field, _, _ in self.results)]
-            body = statements(tick.graph, roots, text, self.trace.tables)
-            ends = [f"  {place} = v{i};" for place, i in zip(names, roots)]
+        slots = [*state, *(slot for _, slot, _ in self.results)]
+        places = [*(f"s->{field}" for field in state.values()), *(f"y->{field}" for field, _, _ in self.results)]
+        ticks, cases = "", ""
+        for number, ((tick, _), label) in enumerate(zip(self.trace.kinds, phase_labels(self.trace, "u"))):
+            roots = [tick.roots[slot] for slot in slots]
+            ends = [f"  {place} = v{i};" for place, i in zip(places, roots)]
+            code = "\n".join([*statements(tick.graph, roots, text, self.trace.tables), *ends])
             given = f"{name}_state *s, const {name}_inputs *u, {name}_outputs *y"
-            code = "\n".join([*body, *ends])
-            ticks.append(f"static void tick{number}({given})\n{{\n  (void)u;\n{code}\n}}\n")
-        assert slots == len(self.start)
-        period = len(self.trace.ticks)
-        labels = phase_labels(self.trace, "u")
-        cases = "\n".join(f"    {label} tick{i}(s, u, y); break;" for i, label in enumerate(labels))
-        values = [f"  s->{field} = {c_number(float(self.start[slot]))};" for slot, field in state.items()]
-        return "\n".join(
-            [
-                f'#include <math.h>\n#include "{name}.h"\n\n{SCALAR_TYPES}\n',
-                table_source(self.trace.tables),
-                *ticks,
-                f"void {name}_init({name}_state *s)\n{{\n  s->phase = 0u;\n  s->k = 0.0;",
-                *values,
-                "}\n",
-                f"void {name}_step({name}_state *s, const {name}_inputs *u, {name}_outputs *y)\n{{",
-                "  switch (s->phase) {",
-                cases,
-                "  }",
-                f"  s->phase = (s->phase + 1u) % {period}u;",
-                "  s->k += 1.0;\n}\n",
-            ]
+            ticks += f"static void tick{number}({given})\n{{\n  (void)u;\n{code}\n}}\n\n"
+            cases += f"    {label} tick{number}(s, u, y); break;\n"
+        return from_template(
+            "block.c.in",
+            name=name,
+            types=SCALAR_TYPES,
+            tables=table_source(self.trace.tables),
+            ticks=ticks,
+            start="".join(f"  s->{field} = {c_number(float(self.start[slot]))};\n" for slot, field in state.items()),
+            cases=cases,
+            period=len(self.trace.ticks),
         )
 
     def test(self, name: str) -> str:
@@ -266,7 +247,7 @@ class _Part:
 
 
 def _numbers(block: Block) -> list[tuple[str, float]]:
-    values = [(f.name, getattr(block, f.name)) for f in dataclasses.fields(block)]
+    values = [(f.name, getattr(block, f.name)) for f in dataclasses.fields(block) if f.name != "dt"]
     numbers = [(n, v) for n, v in values if isinstance(v, int | float) and not isinstance(v, bool)]
     return [(n, float(v)) for n, v in numbers if math.isfinite(v)]
 

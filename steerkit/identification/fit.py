@@ -195,12 +195,7 @@ class Identified:
             }
         provenance |= {"command": command} if command else {}
         steering = {name: self.theta[name] for name in ("delay", "lag", "offset")}
-        return vehicle_text(self.vehicle, steering=steering, estimates=self.intervals, provenance=provenance)
-
-    @property
-    def intervals(self) -> dict[str, dict[str, Any]]:
-        """Value, 95 % interval, unit and source of each estimate."""
-        return intervals(self.estimates)
+        return vehicle_text(self.vehicle, steering=steering, estimates=intervals(self.estimates), provenance=provenance)
 
     def save(self, file: str | Path, *, command: str = "", held_out: Prediction | None = None) -> None:
         """Write the vehicle file; `vehicle(file)` and `steering_of(file)` read it."""

@@ -180,12 +180,7 @@ def database(name: str) -> Any:
 
 
 def _opendbc(name: str) -> str:
-    try:
-        import opendbc
-    except ImportError:
-        raise ValueError(
-            f"--dbc {name}: no such file; names without .dbc are those of the package opendbc, which is not installed"
-        ) from None
+    opendbc = optional("opendbc", f"--dbc {name}: no such file; a name without .dbc", "production")
     folder, made = Path(opendbc.DBC_PATH), opendbc.get_generated_dbcs()
     names = sorted({*made, *(file.stem for file in folder.glob("*.dbc"))})
     known(name, names, "--dbc")

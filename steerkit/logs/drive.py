@@ -231,8 +231,7 @@ class Drive:
         """The drive as a Log: `save` writes it as .csv, .npz or .parquet, which `read_drive` reads again."""
         signals = {"delta_sw": self.delta_sw, "v": self.v, "r": self.r}
         signals |= {key: value for key, value in vars(self).items() if key in ("psi", *PLACES) and value is not None}
-        units = QUANTITIES
-        return Log(self.t, signals, {key: units[key] for key in signals})
+        return Log(self.t, signals, {key: QUANTITIES[key] for key in signals})
 
     @classmethod
     def of(

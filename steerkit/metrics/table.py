@@ -121,16 +121,6 @@ TABLE = _read(Path(__file__).with_suffix(".csv"))
 """Every metric, in the order in which reports show them."""
 
 
-def as_markdown() -> str:
-    """The table in Markdown, which docs/metrics.md holds."""
-    rows = ["| name | unit | better | what | source | limit |", "|---|---|---|---|---|---|"]
-    for m in TABLE:
-        limit = "" if m.limit is None else f"{m.limit:g}"
-        meaning = m.what.replace("|", "\\|")
-        rows.append(f"| `{m.name}` | {m.unit} | {m.better} | {meaning} | {m.source} | {limit} |")
-    return "\n".join(rows) + "\n"
-
-
 def measures(*, t: ArrayLike, e: ArrayLike, psi_e: ArrayLike, delta_sw: ArrayLike, a_y: ArrayLike) -> dict[str, float]:
     """All metrics of one drive in `TABLE`, by name: of tracking, steering and comfort.
 

@@ -1,9 +1,7 @@
 """Production cars that can be steered through the library opendbc: which, by what, from which speed, how far."""
 
-import importlib.util
 import math
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -13,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import nearest, require
+from steerkit._support.errors import nearest, optional, require
 from steerkit._support.files import write_text
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.torque_map import LateralMap
@@ -21,10 +19,6 @@ from steerkit.task import A_Y_MAX, JERK_MAX
 from steerkit.vehicles import Vehicle, vehicle
 from steerkit.vehicles.rollout import GateLimits
 
-INSTALL = (
-    "a production car is steered through the library opendbc, which is not installed: "
-    "pip install 'steerkit-control[production]' (Python 3.11 or 3.12)"
-)
 NOT_CARS = ("mock", "body")
 """Makers in the library's list whose platforms are no cars."""
 
@@ -135,14 +129,8 @@ def _code(dbc_name: str, message: str, signal: str, label: str) -> float:
 
 
 def _interfaces() -> Mapping[str, Any]:
-    if importlib.util.find_spec("opendbc") is None:
-        raise ValueError(INSTALL)
-    try:
-        found = import_module("opendbc.car.car_helpers").interfaces
-    except ImportError as error:
-        version = ".".join(map(str, sys.version_info[:2]))
-        raise ValueError(f"opendbc is installed, but cannot be imported by Python {version} ({error})") from error
-    return dict(found)
+    what = "a production car (Python 3.11 or 3.12)"
+    return dict(optional("opendbc.car.car_helpers", what, "production").interfaces)
 
 
 @cache

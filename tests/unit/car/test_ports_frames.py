@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.car.config import load, shipped
-from steerkit.car.ports import UNIT_FACTORS, CommandWriter, FrameReader, Mapping, crc8_2f, frame_crc, signal_range
+from steerkit.car.ports import UNIT_FACTORS, CommandWriter, FrameReader, Mapping, frame_crc, signal_range
 from steerkit.diagram.units import degrees_of, radians_of
 
 CONFIG = load("dbw-kit.toml")
@@ -17,13 +17,17 @@ READERS = {r.name: r for r in CONFIG.readers}
 DBC = cantools.database.load_file(shipped("dbw_steering.dbc"))
 
 
-def test_crc_check_value_of_autosar() -> None:
-    assert crc8_2f(b"123456789") == 0xDF
-    assert crc8_2f(b"") == 0x00
+@pytest.mark.parametrize("at", [0, 1])
+def test_crc_check_value_of_autosar(at: int) -> None:
+    def crc(covered: bytes) -> int:
+        data, frame_id = covered[:-2], covered[-2] + 256 * covered[-1]
+        return frame_crc(data[:at] + b"\xff" + data[at:], at, frame_id)
+
+    assert crc(b"123456789") == 0xDF
     # AUTOSAR, Specification of CRC Routines, table of CRC8H2F examples
-    assert crc8_2f(bytes(4)) == 0x12
-    assert crc8_2f(bytes((0xF2, 0x01, 0x83))) == 0xC2
-    assert crc8_2f(bytes((0x0F, 0xAA, 0x00, 0x55))) == 0xC6
+    assert crc(bytes(4)) == 0x12
+    assert crc(bytes((0xF2, 0x01, 0x83))) == 0xC2
+    assert crc(bytes((0x0F, 0xAA, 0x00, 0x55))) == 0xC6
 
 
 GOLDEN = {  # made with cantools 41 and the Crc8Autosar of crccheck 1.3
