@@ -9,32 +9,31 @@ import sys
 import tty
 from dataclasses import dataclass
 from functools import cached_property
-from types import ModuleType
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import known, require
+from steerkit._support.errors import known, optional, require
 from steerkit.diagram.units import FACTORS
 
 INTERFACES = ("slcan", "socketcan", "pcan", "kvaser", "vector", "ixxat", "socketcand", "udp_multicast", "virtual")
 """Interfaces of python-can that a car may have."""
 
 
-def python_can() -> ModuleType:
+def python_can(where: str = "a CAN bus") -> Any:
     """The module `can`, without its support of MF4 files.
 
     python-can imports asammdf where that is installed, and with it pandas and SymPy: more than a second, for files that
-    a car does not need. Call it before cantools is imported too, which imports `can`. Raises ImportError without it.
+    a car does not need. Call it before cantools is imported too, which imports `can`. where: what needs it, for the
+    ValueError without it.
     """
     modules: dict[str, Any] = sys.modules
     absent = "can" not in modules and "asammdf" not in modules
     if absent:
         modules["asammdf"] = None  # as if it were not installed
     try:
-        import can
+        return optional("can", where, "car")
     finally:
         if absent:
             del modules["asammdf"]
-    return can
 
 
 def checked(bus: dict[str, Any]) -> dict[str, Any]:

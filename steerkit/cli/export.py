@@ -18,14 +18,12 @@ from steerkit.diagram.simulation import Log
 from steerkit.export import car as cars
 from steerkit.export.car import controls_challenge
 from steerkit.learning import rundir
+from steerkit.logs.foxglove import LAYOUTS, to_mcap
 from steerkit.logs.foxglove import layout as write_layout
-from steerkit.logs.foxglove import to_mcap
 from steerkit.logs.tables import write_mf4
 from steerkit.scenario import Scenario
 from steerkit.scenario.lateral import lateral_controller
 from steerkit.vehicles import tables_of, vehicle
-
-LAYOUTS = {".json": "foxglove", ".xml": "plotjuggler"}
 
 
 def export(
@@ -74,8 +72,7 @@ def export(
         done |= {kind: writers[kind](record, file) or str(file) for kind, file in logs.items()}
         console.print(f"log: {', '.join(map(str, logs.values()))}")
     if layout is not None:
-        program = LAYOUTS[layout.suffix]
-        console.print(f"layout for {program}: {write_layout(program, layout)}")
+        console.print(f"layout for {write_layout(layout)}: {layout}")
     if as_json:
         print(json.dumps(done))
 

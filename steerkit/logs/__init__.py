@@ -16,7 +16,7 @@ from steerkit._support.errors import require
 from steerkit._support.files import LARGEST, opened, refuse_workbook
 from steerkit._support.quantities import place
 from steerkit.logs import can_frames, ros, tables
-from steerkit.logs.channels import Channel, Column, ColumnMap, Table, is_command
+from steerkit.logs.channels import Channel, Column, ColumnMap, Contents, Table, is_command
 from steerkit.logs.drive import ODD, Drive, aligned, in_metres, odd_values
 
 __all__ = ["Channel", "Column", "ColumnMap", "Drive", "RawLog", "drive_of", "read_drive", "read_log", "shipped_drives"]
@@ -72,8 +72,9 @@ def read_log(files: Files, *, dbc: str | Path | Iterable[str | Path] = (), time:
     for path in paths:
         made = list[str]()
         digests.append(_digest(path))
-        tables = _tables(path, databases, made)
-        found += [(path, channel) for table in tables for channel in _channels(table, time, str(path))]
+        held = _contents(path, databases, made)
+        of_file = _channels(held, time, str(path)) if isinstance(held, Table) else held
+        found += [(path, channel) for channel in of_file]
         notes += [note if len(paths) == 1 else f"{path.name}: {note}" for note in made]
     names = Counter(channel.name for _, channel in found)
     channels: dict[str, Channel] = {}
@@ -153,7 +154,7 @@ def _many(files: Any) -> list[Any]:
     return [files] if isinstance(files, str | Path) else list(files)
 
 
-def _tables(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def _contents(path: Path, dbc: tuple[str, ...], notes: list[str]) -> Contents:
     kind = "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
     refuse_workbook(path)
     if not (kind in _READERS or path.is_dir()):
@@ -184,25 +185,21 @@ def _of_all(digests: list[str]) -> str:
 
 
 def _channels(table: Table, time: Column | None, where: str) -> Iterable[Channel]:
-    t, clock = table.t, ""
-    if t is None:
-        clock = _clock(table, time, where)
-        column = Column(clock) if time is None or time.name != clock else time
-        column = replace(column, unit=column.unit or table.units.get(clock, ""))
-        t = column.in_si("t", table.columns[clock], where)
-        if np.nanmin(t, initial=0.0) >= 0.0 and np.nanmax(t, initial=0.0) < _DAY:  # of the clock, maybe past midnight
-            t = t + _DAY * np.cumsum(np.diff(t, prepend=t[:1]) < -0.5 * _DAY)
-        rises = bool((t[np.isfinite(t)] != t[np.isfinite(t)][:1]).any())
-        require(rises, where, f"column {clock} holds no times that rise, expected numbers or 2026-11-26T10:00:00.5")
+    clock = _clock(table, time, where)
+    column = Column(clock) if time is None or time.name != clock else time
+    column = replace(column, unit=column.unit or table.units.get(clock, ""))
+    t = column.in_si("t", table.columns[clock], where)
+    if np.nanmin(t, initial=0.0) >= 0.0 and np.nanmax(t, initial=0.0) < _DAY:  # of the clock, maybe past midnight
+        t = t + _DAY * np.cumsum(np.diff(t, prepend=t[:1]) < -0.5 * _DAY)
+    rises = bool((t[np.isfinite(t)] != t[np.isfinite(t)][:1]).any())
+    require(rises, where, f"column {clock} holds no times that rise, expected numbers or 2026-11-26T10:00:00.5")
     for name, values in table.columns.items():
         if name != clock:
             numbers = np.asarray(values, dtype=float)
-            unit, means = table.units.get(name, ""), table.means.get(name, "")
-            held = np.isfinite(numbers)
-            own = table.t is None and 0.0 < held.mean() < _SPARSE  # signals on rows of their own
-            yield Channel(
-                name=name, t=t[held] if own else t, values=numbers[held] if own else numbers, unit=unit, means=means
-            )
+            known = np.isfinite(numbers)
+            own = 0.0 < known.mean() < _SPARSE  # signals on rows of their own
+            at, numbers = (t[known], numbers[known]) if own else (t, numbers)
+            yield Channel(name=name, t=at, values=numbers, unit=table.units.get(name, ""))
 
 
 def _clock(table: Table, time: Column | None, where: str) -> str:
@@ -219,14 +216,14 @@ def _clock(table: Table, time: Column | None, where: str) -> str:
     return known[0]
 
 
-def _mcap(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def _mcap(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel]:
     with path.open("rb") as stream:
         head = stream.read(64)
     other = head.startswith(b"\x89MCAP0\r\n") and b"steerkit" not in head  # a spoilt head may be a car server's
     return (ros.read_ros if other else tables.read_own)(path, dbc, notes)
 
 
-_READERS: dict[str, Callable[[Path, tuple[str, ...], list[str]], list[Table]]] = {
+_READERS: dict[str, Callable[[Path, tuple[str, ...], list[str]], Contents]] = {
     ".mcap": _mcap,
     ".npz": tables.read_npz,
     ".parquet": tables.read_parquet,

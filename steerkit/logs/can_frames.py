@@ -7,6 +7,7 @@ import re
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 from steerkit._support.errors import known, optional, require
 from steerkit._support.files import LARGEST_TEXT, Bounded, opened
 from steerkit.car.ports import python_can
-from steerkit.logs.channels import Table
+from steerkit.logs.channels import Channel
 
 _CANDUMP = re.compile(
     r"\((\d+\.\d+)\) +\S+ +([0-9A-F]+)#(?:#[0-9A-F])?(R\d*|(?:[0-9A-F]{2})*)( [RT])?\s*", re.IGNORECASE
@@ -31,7 +32,7 @@ Frame = tuple[float, int, bool, bytes]
 """Time [s], identifier, is it extended, data."""
 
 
-def read_candump(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_candump(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel]:
     """`candump -L`, compressed or not: lines that are none are left out."""
     odd = 0
 
@@ -44,22 +45,22 @@ def read_candump(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Tab
                 yield float(found[1]), int(found[2], 16), len(found[2]) > 3, bytes.fromhex(found[3])
 
     with _opened(path) as stream:
-        tables = _tables(frames(stream), path, dbc, notes)
+        channels = _decoded(frames(stream), path, dbc, notes)
     if odd:
         notes.append(f"left out {odd} lines that are no frames")
-    return tables
+    return channels
 
 
-def read_asc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_asc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel]:
     """Vector's text form, compressed or not."""
-    reader = _python_can(path).ASCReader
+    reader = python_can(f"{path}: a CAN log").ASCReader
     with _opened(path) as stream:
-        return _tables(_frames(reader(stream, relative_timestamp=True)), path, dbc, notes)
+        return _decoded(_frames(reader(stream, relative_timestamp=True)), path, dbc, notes)
 
 
-def read_trc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_trc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel]:
     """PEAK's text form: lines that are none are left out."""
-    reader, odd, log = _python_can(path).TRCReader, list[str](), logging.getLogger("can.io.trc")
+    reader, odd, log = python_can(f"{path}: a CAN log").TRCReader, list[str](), logging.getLogger("can.io.trc")
 
     def told(record: logging.LogRecord) -> bool:  # python-can only logs what it leaves out
         odd.extend([record.getMessage()] * (record.levelno >= logging.WARNING))
@@ -68,30 +69,23 @@ def read_trc(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     log.addFilter(told)
     try:
         with _opened(path) as stream:
-            tables = _tables(_frames(reader(stream)), path, dbc, notes)
+            channels = _decoded(_frames(reader(stream)), path, dbc, notes)
     finally:
         log.removeFilter(told)
     if odd:
         notes.append(f"left out {len(odd)} lines that are no frames")
-    return tables
+    return channels
 
 
-def read_blf(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_blf(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel]:
     """Vector's binary form."""
-    reader = _python_can(path).BLFReader
+    reader = python_can(f"{path}: a CAN log").BLFReader
     with Bounded(path) as stream:
         try:
             messages = reader(stream)
         except Exception as error:  # struct's, and whatever a date may be
             raise ValueError(f"{path}: no BLF file ({type(error).__name__}: {error})") from error
-        return _tables(_frames(messages), path, dbc, notes)
-
-
-def _python_can(path: Path) -> Any:
-    try:
-        return python_can()
-    except ImportError:
-        raise ValueError(f"{path}: CAN logs need python-can: pip install 'steerkit-control[logs]'") from None
+        return _decoded(_frames(messages), path, dbc, notes)
 
 
 def _opened(path: Path) -> Any:
@@ -106,7 +100,7 @@ def _frames(messages: Iterable[Any]) -> Iterator[Frame]:
             yield m.timestamp, m.arbitration_id, m.is_extended_id, bytes(m.data)
 
 
-def _tables(frames: Iterable[Frame], path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def _decoded(frames: Iterable[Frame], path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel]:
     """What a DBC says of frames, up to where their reader fails: none of them says what it may raise."""
     decoder = Decoder(dbc)
     try:
@@ -114,11 +108,11 @@ def _tables(frames: Iterable[Frame], path: Path, dbc: tuple[str, ...], notes: li
             decoder.add(*frame)
     except Exception as error:
         notes.append(f"cut off or broken: what comes before is used ({type(error).__name__}: {str(error)[:80]})")
-    return decoder.tables(path, notes)
+    return decoder.channels(path, notes)
 
 
 class Decoder:
-    """Takes frames as they come, and gives the signals that a DBC says are in them, a table a message."""
+    """Takes frames as they come, and gives the signals that a DBC says are in them, a channel each."""
 
     def __init__(self, dbc: tuple[str, ...]):
         self._dbc, self.seen = dbc, Counter[tuple[int, bool]]()
@@ -143,7 +137,7 @@ class Decoder:
         row = self._rows.setdefault(key, array("d"))
         row.extend((t, held, *(float(values.get(signal.name, math.nan)) for signal in message.signals)))
 
-    def tables(self, path: Path, notes: list[str]) -> list[Table]:
+    def channels(self, path: Path, notes: list[str]) -> list[Channel]:
         """The signals of all frames that the DBC knows; a note names the others."""
         require(self.seen, str(path), f"no CAN frames in it{'; ' + notes[-1] if notes else ''}")
         seen = ", ".join(f"0x{frame:X} ({count})" for (frame, _), count in sorted(self.seen.items())[:12])
@@ -160,8 +154,8 @@ class Decoder:
         if unknown:
             some = ", ".join(unknown[:8]) + (", ..." if len(unknown) > 8 else "")
             notes.append(f"{len(unknown)} identifiers are not in the DBC: {some}")
-        tables = (_table(self._messages[key], self._rows.pop(key), notes) for key in sorted(self._rows))
-        return [table for table in tables if table is not None]
+        of_each = [_channels(self._messages[key], self._rows.pop(key), notes) for key in sorted(self._rows)]
+        return [channel for channels in of_each for channel in channels]
 
 
 def database(name: str) -> Any:
@@ -187,7 +181,7 @@ def _opendbc(name: str) -> str:
     return made[name] if name in made else (folder / f"{name}.dbc").read_text(encoding="utf-8", errors="replace")
 
 
-def _table(message: Any, rows: "array[float]", notes: list[str]) -> Table | None:
+def _channels(message: Any, rows: "array[float]", notes: list[str]) -> list[Channel]:
     """A message's signals over time, without frames that do not decode, or lack a check sum that nearly all hold."""
     whole = np.frombuffer(rows).reshape(-1, 2 + len(message.signals))
     held = whole[:, 1]
@@ -197,13 +191,12 @@ def _table(message: Any, rows: "array[float]", notes: list[str]) -> Table | None
         bad = f"{len(whole) - len(good)} of {len(whole)} frames of {message.name}"
         notes.append(f"left out {bad}: check sum or length are wrong")
     if not len(good):
-        return None
-    columns, units, means = dict[str, np.ndarray](), dict[str, str](), dict[str, str]()
+        return []
+    t, columns = good[:, 0].copy(), {}
     for signal, values in zip(message.signals, good[:, 2:].T):
         name = f"{message.name}.{signal.name}"
-        columns[name], units[name] = _decimal(values, signal), signal.unit or ""
-    _add_sums(message, columns, units, means)
-    return Table(columns=columns, units=units, means=means, t=good[:, 0].copy())
+        columns[name] = Channel(name=name, t=t, values=_decimal(values, signal), unit=signal.unit or "")
+    return [*columns.values(), *_sums(message, columns)]
 
 
 def _decimal(values: np.ndarray, signal: Any) -> np.ndarray:
@@ -212,16 +205,13 @@ def _decimal(values: np.ndarray, signal: Any) -> np.ndarray:
     return np.round(values, max(digits)) if 0 < max(digits) <= 9 else values.copy()
 
 
-def _add_sums(message: Any, columns: dict[str, np.ndarray], units: dict[str, str], means: dict[str, str]) -> None:
-    """Adds what a message holds in parts: a coarse angle and its fraction; four wheels."""
-    signals = {f"{message.name}.{signal.name}": signal for signal in message.signals}
-    coarse, fine = (f"{message.name}.{part}" for part in ("STEER_ANGLE", "STEER_FRACTION"))
-    if {coarse, fine} <= columns.keys():
-        total = f"{coarse} + STEER_FRACTION"
-        columns[total] = _decimal(columns[coarse] + columns[fine], signals[fine])
-        units[total], means[total] = units[coarse], "delta_sw"
-    wheels = [column for column in columns if re.fullmatch(r".*\.WHEEL_SPEED_(FL|FR|RL|RR)", column)]
-    if len(wheels) == 4 and len({units[wheel] for wheel in wheels}) == 1:
-        mean = f"{message.name}.mean"
-        columns[mean] = np.mean([columns[wheel] for wheel in wheels], axis=0)
-        units[mean], means[mean] = units[wheels[0]], "v"
+def _sums(message: Any, columns: dict[str, Channel]) -> Iterator[Channel]:
+    """What a message holds in parts: a coarse angle and its fraction; four wheels."""
+    coarse, fine = (columns.get(f"{message.name}.{part}") for part in ("STEER_ANGLE", "STEER_FRACTION"))
+    if coarse and fine:
+        total = _decimal(coarse.values + fine.values, message.get_signal_by_name("STEER_FRACTION"))
+        yield replace(coarse, name=f"{coarse.name} + STEER_FRACTION", values=total, means="delta_sw")
+    wheels = [columns[name] for name in columns if re.fullmatch(r".*\.WHEEL_SPEED_(FL|FR|RL|RR)", name)]
+    if len(wheels) == 4 and len({wheel.unit for wheel in wheels}) == 1:
+        mean = np.mean([wheel.values for wheel in wheels], axis=0)
+        yield replace(wheels[0], name=f"{message.name}.mean", values=mean, means="v")

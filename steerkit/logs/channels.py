@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,16 +41,16 @@ class Channel:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Table:
-    """Columns that were sampled together: a CSV file, a topic, a CAN message, a channel group."""
+    """Columns that were sampled together, one of which is the time: a CSV file, say."""
 
     columns: Mapping[str, Array]
     """By name, all of one length."""
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str]
     """Of those columns whose unit the file names."""
-    means: Mapping[str, str] = field(default_factory=dict)
-    """Of those columns whose quantity the kind of message settles."""
-    t: Array | None = None
-    """Their times (n,) [s]; None where one of the columns is the time."""
+
+
+Contents = Table | list[Channel]
+"""What a reader finds in a file. Channels that were sampled together (a topic, a CAN message) share their `t`."""
 
 
 _WISHES = ("cmd", "command", "desired", "target", "request", "setpoint", "control", "trajectory", "planning")

@@ -266,6 +266,8 @@ class Drive:
         require(1e-3 <= dt <= 0.1, name, f"dt = {dt} s, expected 0.001 to 0.1")
         even = _resampled(columns, dt, step)
         measured = _measured(t, gaps, even["t"])
+        seconds = float(np.sum(measured & (even["v"] >= V_DRIVING))) * dt
+        require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
         rate, calibrated, scale_deviation = _yaw_rate(even, measured, dt, name, remarks, trusted)
         drive = cls(
             name=name,
@@ -279,8 +281,6 @@ class Drive:
             commanded=commanded,
             **{key: even[key] for key in ("delta_sw", "v", "psi", *PLACES) if key in even},
         )
-        seconds = float(np.sum(drive.driving)) * dt
-        require(seconds >= LEAST, name, f"only {seconds:.1f} s at {V_DRIVING:g} m/s or faster, expected {LEAST:g} s")
         if not trusted:
             _check_speeds_unit(drive, t)
             _check_plausible(drive)
@@ -457,7 +457,6 @@ def _yaw_rate(
         remarks.append(f"yaw rate: slope of the heading over {window * dt:.2f} s")
         return scipy.signal.savgol_filter(even["psi"], window, 2, deriv=1, delta=dt), True, 0.0
     use = measured & (even["v"] >= V_DRIVING)
-    require(use.sum() * dt >= LEAST, name, f"less than {LEAST:g} s at {V_DRIVING:g} m/s or faster")
     n = round(SCALE_WINDOW / dt)
     through = np.convolve(use, np.ones(n + 1), mode="valid") > n + 0.5
     gyro = scipy.integrate.cumulative_trapezoid(even["r"], dx=dt, initial=0.0)

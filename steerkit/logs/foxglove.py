@@ -41,17 +41,17 @@ def shown_as(names: Iterable[str]) -> dict[str, str]:
     return first | {f"/signals/{name.replace('.', '/')}": name for name in known}
 
 
-LAYOUTS = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
-"""The layouts that ship: where the car is, e, the wheel, the states."""
+LAYOUTS = {".json": "foxglove", ".xml": "plotjuggler"}
+"""Endings of the layouts that ship, and whose they are: where the car is, e, the wheel, the states."""
 BEGIN = 1_700_000_000_000_000_000
 """When a log without a date begins, since 1970 [ns]."""
 
 
-def layout(program: str, file: str | Path) -> Path:
-    """Write the layout for a program, `foxglove` or `plotjuggler`, to a file; returns it."""
-    text = (files(__package__) / "layouts" / LAYOUTS[known(program, LAYOUTS, "layout")]).read_text(encoding="utf-8")
-    write_text(file, text)
-    return Path(file)
+def layout(file: Path) -> str:
+    """Write the layout of the program that reads files of such an ending; returns its name."""
+    program = LAYOUTS[known(file.suffix, LAYOUTS, f"layout {file}: ending")]
+    write_text(file, (files(__package__) / "layouts" / f"{program}{file.suffix}").read_text(encoding="utf-8"))
+    return program
 
 
 HOST = "127.0.0.1"

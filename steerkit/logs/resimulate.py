@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from steerkit._support.errors import require
 from steerkit.compiled import NoCompilerError, TraceError, compile
@@ -198,7 +199,7 @@ def way(drive: Drive, *, ahead: float = 0.0) -> Path:
     dt = drive.dt
     width = 2 * round(0.5 * _SMOOTH / dt) + 1
     rate = np.convolve(np.pad(drive.r, width // 2, mode="edge"), np.ones(width) / width, mode="valid")
-    psi = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * dt)))
+    psi = cumulative_trapezoid(rate, dx=dt, initial=0.0)
     v = 0.5 * (drive.v[1:] + drive.v[:-1])
     middle = 0.5 * (psi[1:] + psi[:-1])
     x = np.concatenate(([0.0], np.cumsum(v * np.cos(middle) * dt))) + ahead * np.cos(psi)

@@ -12,7 +12,7 @@ import numpy as np
 from steerkit._support.errors import optional, require
 from steerkit._support.files import Bounded
 from steerkit.logs.can_frames import Decoder
-from steerkit.logs.channels import Table
+from steerkit.logs.channels import Channel
 
 
 def intact(file: Path, notes: list[str]) -> Iterator[tuple[str, str, float, Any]]:
@@ -81,18 +81,19 @@ class _Bag:
             self._numbers[topic] = {path: attrgetter(path) for path in _numbers(message)}
         self._rows[topic].extend((t, stamp, *(float(number(message)) for number in self._numbers[topic].values())))
 
-    def tables(self, path: Path, notes: list[str], *, decode: bool) -> list[Table]:
+    def channels(self, path: Path, notes: list[str], *, decode: bool) -> list[Channel]:
         """The numbers of all topics, and of the frames if they are to be decoded, or are all that there is."""
-        tables = [self._table(name, notes) for name in sorted(self.kinds) if self._numbers[name]]
-        if self.frames.seen and (decode or not tables):
-            tables += self.frames.tables(path, notes)
+        names = [name for name in sorted(self.kinds) if self._numbers[name]]
+        channels = [channel for name in names for channel in self._of_topic(name, notes)]
+        if self.frames.seen and (decode or not channels):
+            channels += self.frames.channels(path, notes)
         elif self.frames.seen:
             count = sum(self.frames.seen.values())
             notes.append(f"{count} CAN frames are not read: say what is in them, --dbc")
-        require(tables, str(path), f"no messages with numbers in it{'; ' + notes[-1] if notes else ''}")
-        return tables
+        require(channels, str(path), f"no messages with numbers in it{'; ' + notes[-1] if notes else ''}")
+        return channels
 
-    def _table(self, name: str, notes: list[str]) -> Table:
+    def _of_topic(self, name: str, notes: list[str]) -> Iterator[Channel]:
         received, stamped, *numbers = np.frombuffer(self._rows[name]).reshape(-1, 2 + len(self._numbers[name])).T.copy()
         trusted = bool(np.isfinite(stamped).all()) and float(np.abs(stamped - received).max()) < _NEAR
         if not trusted and np.isfinite(stamped).all():
@@ -102,19 +103,16 @@ class _Bag:
             base = path.removesuffix("w")
             x, y, z, w = (columns[f"{base}{axis}"] for axis in "xyzw")
             columns[f"{base}yaw"] = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        known = {path: told for path, told in KNOWN.get(self.kinds[name], {}).items() if path in columns}
-        return Table(
-            columns={f"{name}.{path}": values for path, values in columns.items()},
-            units={f"{name}.{path}": unit for path, (_, unit) in known.items()},
-            means={f"{name}.{path}": quantity for path, (quantity, _) in known.items() if quantity},
-            t=stamped if trusted else received,
-        )
+        t = stamped if trusted else received
+        for path, values in columns.items():
+            quantity, unit = KNOWN.get(self.kinds[name], {}).get(path, ("", ""))
+            yield Channel(name=f"{name}.{path}", t=t, values=values, unit=unit, means=quantity)
 
 
-def read_ros(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_ros(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel]:
     """The numbers in a bag's messages: a folder with metadata.yaml, or one file of it (.mcap, .db3, .bag).
 
-    A topic is a table, on the clock of its stamps if it has such, else of when its messages were received.
+    A topic has the clock of its stamps if it has such, else of when its messages were received.
     """
     rosbags = optional("rosbags.highlevel", f"{path}: a ROS bag", "logs")
     for file in [path] if path.is_file() else sorted(path.glob("*.db3")):
@@ -134,7 +132,7 @@ def read_ros(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
             notes.append(f"cut off or broken: what comes before is used ({type(error).__name__}: {str(error)[:80]})")
         found = bag.kinds or bag.frames.seen
         require(found, str(path), f"no ROS bag, or a broken one ({type(error).__name__}: {error})")
-    return bag.tables(path, notes, decode=bool(dbc))
+    return bag.channels(path, notes, decode=bool(dbc))
 
 
 def _check_size(file: Path) -> None:

@@ -19,21 +19,21 @@ from steerkit.car import recording
 from steerkit.car.config import DIMENSION
 from steerkit.diagram.simulation import Log
 from steerkit.logs.can_frames import database
-from steerkit.logs.channels import Table
+from steerkit.logs.channels import Channel, Table
 
 Columns = dict[str, np.ndarray]
 
 NAN = float("nan")
 
 
-def read_csv(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_csv(path: Path, dbc: tuple[str, ...], notes: list[str]) -> Table:
     """Rows of numbers under a row of names such as `v` or `v [m/s]`; `,`, `;` or tab between, `#` before comments.
 
     Compressed or not; of a file that is cut off, what comes before.
     """
     opener: Any = gzip.open if path.suffix.lower() == ".gz" else open
     with opener(path, "rb") as stream:
-        return [_table(path, _ended(_lines(stream, notes), notes), notes)]
+        return _table(path, _ended(_lines(stream, notes), notes), notes)
 
 
 def _lines(stream: Any, notes: list[str]) -> Iterator[str]:
@@ -41,8 +41,6 @@ def _lines(stream: Any, notes: list[str]) -> Iterator[str]:
     try:
         for line in decoded(stream):
             yield from line.splitlines(keepends=True)
-    except gzip.BadGzipFile as error:
-        raise ValueError(f"{stream.name}: not a gzip file, or a broken one ({error})") from error
     except (EOFError, zlib.error):
         notes.append("the compressed file is cut off or broken: what comes before is used")
 
@@ -83,7 +81,7 @@ def with_units(columns: Columns) -> Table:
     )
 
 
-def read_mat(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_mat(path: Path, dbc: tuple[str, ...], notes: list[str]) -> Table:
     """Arrays of a MATLAB file by name; those of the commonest length."""
     from scipy.io import loadmat
 
@@ -97,7 +95,7 @@ def read_mat(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     return one_length(arrays, path, notes)
 
 
-def one_length(arrays: Columns, path: Path, notes: list[str]) -> list[Table]:
+def one_length(arrays: Columns, path: Path, notes: list[str]) -> Table:
     """A table of the arrays of numbers that have the commonest length; a note names those of another."""
     columns = {name: np.ravel(a).astype(float, copy=False) for name, a in _numeric(arrays, path).items()}
     lengths = [len(values) for values in columns.values()]
@@ -105,7 +103,7 @@ def one_length(arrays: Columns, path: Path, notes: list[str]) -> list[Table]:
     odd = [f"{name} ({len(values)})" for name, values in columns.items() if len(values) != n]
     if odd:
         notes.append(f"left out {', '.join(odd)}: not of the others' length, {n}")
-    return [with_units({name: values for name, values in columns.items() if len(values) == n})]
+    return with_units({name: values for name, values in columns.items() if len(values) == n})
 
 
 def _numeric(arrays: Columns, path: Path) -> Columns:
@@ -114,16 +112,16 @@ def _numeric(arrays: Columns, path: Path) -> Columns:
     return found
 
 
-def read_npz(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_npz(path: Path, dbc: tuple[str, ...], notes: list[str]) -> Table:
     """A Log that was saved, or arrays of one length by name."""
     arrays = arrays_of(path, "read_drive")
     if {"t", "units"} <= arrays.keys():
         log = Log.load(path)
-        return [_one_car(path, log.columns(), {"t": "s", **log.units})]
+        return _one_car(path, log.columns(), {"t": "s", **log.units})
     return one_length(arrays, path, notes)
 
 
-def read_parquet(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_parquet(path: Path, dbc: tuple[str, ...], notes: list[str]) -> Table:
     """Columns of numbers; units from the fields' metadata."""
     parquet = optional("pyarrow.parquet", f"{path}: Parquet", "logs")
     try:
@@ -133,7 +131,7 @@ def read_parquet(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Tab
     units = {f.name: (f.metadata or {}).get(b"unit", b"").decode("utf-8", "replace") for f in table.schema}
     columns = {name: table[name].to_numpy() for name in table.column_names}
     numbers = {name: a.astype(float, copy=False) for name, a in _numeric(columns, path).items()}
-    return [_one_car(path, numbers, units)]
+    return _one_car(path, numbers, units)
 
 
 def _one_car(path: Path, columns: Columns, units: dict[str, str]) -> Table:
@@ -147,7 +145,7 @@ _MEANS = {**{name: name for name in ("delta_sw", "v", "r", "psi", "x", "y")}, "l
 """Name in the configuration to the quantity of a drive; the units there are those of `DIMENSION`."""
 
 
-def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
+def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel]:
     """What the car's frames say of steering wheel, speed, yaw rate, heading and place, each on its own clock."""
     optional("cantools", f"{path}: the recording of a car", "car")
     recorded = recording.read(path)
@@ -174,34 +172,32 @@ def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
     require(
         {"delta_sw", "v"} <= set(series), str(path), f"no steering angle or speed; read: {', '.join(series) or 'none'}"
     )
-    tables = []
+    channels = []
     for name, points in series.items():
         t, values = np.array(points).T
-        means = {name: _MEANS[name]} if name in _MEANS else {}
-        tables.append(
-            Table(columns={name: values}, units={known: DIMENSION[known] for known in means}, means=means, t=t)
-        )
-    return tables
+        means = _MEANS.get(name, "")
+        channels.append(Channel(name=name, t=t, values=values, unit=DIMENSION[name] if means else "", means=means))
+    return channels
 
 
-def read_mf4(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Table]:
-    """The channels that are numbers, a table a channel group, with the file's units; needs asammdf."""
+def read_mf4(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel]:
+    """The channels that are numbers, with the file's units; needs asammdf."""
     asammdf = optional("asammdf", f"{path}: MF4", "logs")
-    trouble, tables = "", list[Table]()
+    trouble, channels = "", list[Channel]()
     with _silent():
         try:
             with Bounded(path) as stream, asammdf.MDF(stream) as file:
-                tables = _tables(file, notes)
+                channels = _channels(file, notes)
                 if dbc:
                     databases = {"CAN": [(database(name), 0) for name in dbc]}
                     with file.extract_bus_logging(database_files=databases) as signals:
-                        tables += _tables(signals, notes)
+                        channels += _channels(signals, notes)
         except Exception as error:  # asammdf lets anything out when the bytes are not what it expects
             trouble = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
     require(not trouble, str(path), f"no MDF 4 file, cut off, or spoilt ({trouble})")
     held = "; its CAN frames need --dbc" if not dbc else ""
-    require(tables, str(path), f"no channels of numbers in it{held}")
-    return tables
+    require(channels, str(path), f"no channels of numbers in it{held}")
+    return channels
 
 
 def write_mf4(log: Log, file: Path) -> None:
@@ -229,12 +225,12 @@ def _silent() -> Iterator[None]:
         sys.unraisablehook = hook
 
 
-def _tables(file: Any, notes: list[str]) -> list[Table]:
-    tables, lost = [], 0
+def _channels(file: Any, notes: list[str]) -> list[Channel]:
+    channels, lost = [], 0
     for g, group in enumerate(file.groups):
         if getattr(group, "channel_group", None) is not None and group.channel_group.flags & 0x2:
             continue  # frames of a bus, not signals
-        columns, units, t = dict[str, np.ndarray](), dict[str, str](), None
+        t = None
         for c in (c for c in range(len(group.channels)) if c != file.masters_db.get(g)):
             signal = file.get(group=g, index=c)
             values = np.asarray(signal.samples)
@@ -246,10 +242,8 @@ def _tables(file: Any, notes: list[str]) -> list[Table]:
             numbers = values.astype(float)
             if signal.invalidation_bits is not None:
                 numbers[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
-            columns[signal.name], units[signal.name] = numbers, signal.unit or ""
             t = np.array(signal.timestamps, dtype=float) if t is None else t
-        if t is not None:
-            tables.append(Table(columns=columns, units=units, t=t))
+            channels.append(Channel(name=signal.name, t=t, values=numbers, unit=signal.unit or ""))
     if lost:
         notes.append(f"left out {lost} channels that have not as many values as times")
-    return tables
+    return channels

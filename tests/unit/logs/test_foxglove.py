@@ -108,16 +108,18 @@ def test_a_simulated_run_is_read_back_bit_for_bit(lap: Log, tmp_path: Path) -> N
 
 def test_the_layouts_show_what_is_there(lap: Log, tmp_path: Path) -> None:
     shown = shown_as(lap.columns())
-    text = layout("foxglove", tmp_path / "l.json").read_text()
+    assert layout(tmp_path / "l.json") == "foxglove"
+    text = (tmp_path / "l.json").read_text()
     paths = set(re.findall(r'"value": "(/[^"]+)"', text))
     assert paths
     assert {path.replace(".", "/") for path in paths} <= shown.keys()
     assert set(re.findall(r'"(?:first|second)": "([^"]+)"', text)) == set(json.loads(text)["configById"])
-    curves = xml.parse(layout("plotjuggler", tmp_path / "l.xml")).iter("curve")
+    assert layout(tmp_path / "l.xml") == "plotjuggler"
+    curves = xml.parse(tmp_path / "l.xml").iter("curve")
     names = {curve.get(key) for curve in curves for key in ("name", "curve_x", "curve_y")} - {None, "/car/[x;y]"}
     assert names <= shown.keys()
-    with pytest.raises(ValueError, match=r"layout 'rviz' is not known.*valid: foxglove, plotjuggler"):
-        layout("rviz", tmp_path / "l")
+    with pytest.raises(ValueError, match=r"ending '.rviz' is not known.*valid: .json, .xml"):
+        layout(tmp_path / "l.rviz")
 
 
 def test_what_cannot_be_written_teaches(tmp_path: Path) -> None:
