@@ -59,7 +59,7 @@ class PufferSteering:
         self._seed = self._seed if seed is None else seed
         generators = [seeding.np_random(self._seed + i)[0] for i in range(self.num_agents)]
         self._cars.draw_from(generators)
-        self._cars.start(np.arange(self.num_agents), [self.task.starts.draw(generator) for generator in generators])
+        self._cars.start(np.arange(self.num_agents), [self.task.draw(generator) for generator in generators])
         self.rewards[:], self.terminals[:], self.truncations[:], self._returns[:] = 0.0, False, False, 0.0
         return self.observations, []
 

@@ -67,7 +67,7 @@ def in_buffers(cars: int, task: dict[str, Any]) -> Callable[[int], int]:
     batch = Episodes(options, cars, AutoresetMode.SAME_STEP)
     generators = [np.random.default_rng(i) for i in range(cars)]
     batch.draw_from(generators)
-    batch.start(np.arange(cars), [options.starts.draw(generator) for generator in generators])
+    batch.start(np.arange(cars), [options.draw(generator) for generator in generators])
 
     def run(steps: int) -> int:
         rows = max(20, steps // cars)

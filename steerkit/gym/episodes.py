@@ -89,7 +89,7 @@ class Episodes:
             failure=task.failure,
             longest=task.longest,
             end=task.end,
-            far=task.starts.last,
+            far=task.last_start,
             start_e=task.start_e,
             start_psi_e=task.start_psi_e,
             cars=cars,
@@ -247,7 +247,7 @@ def _begin(task: Task, graphs: Trace, slots: Sequence[int], tables: list[Table])
             return streams[stream]
 
         drawn = [reseeded(block, states).init() for block in task.loop.blocks.values()]
-        first = task.starts.state(s, e, psi_e, drawn)
+        first = task.start_state(s, e, psi_e, drawn)
         values = graphs.layout.pack(first.x, first.y)
         return [values[slot] for slot in slots]
 
@@ -314,7 +314,7 @@ class Drives:
 
     def start(self, cars: NDArray[np.intp], draws: Sequence[Draw]) -> None:
         """Put the cars of these numbers where they were drawn."""
-        start = self.task.starts.states(draws)
+        start = self.task.starts(draws)
         self._put(cars, start)
         first = self._loop.sample(start)
         for row, name in enumerate(self._signals):
@@ -349,7 +349,7 @@ class Drives:
             self._last = self.observation, self.infos()
         if self._mode is not AutoresetMode.DISABLED and anew.any():
             cars = np.flatnonzero(anew)
-            self.start(cars, [self.task.starts.draw(self._generators[car]) for car in cars.tolist()])
+            self.start(cars, [self.task.draw(self._generators[car]) for car in cars.tolist()])
 
     def infos(self) -> dict[str, Array]:
         """What an agent need not know but people want to, (N,) each: SI; copies."""

@@ -97,7 +97,7 @@ class TrackSteering(gymnasium.Env[NDArray[np.float32], Any]):
         """Start an episode; options s [m], e [m], psi_e [rad] say where."""
         super().reset(seed=seed)
         self._cars.draw_from([self.np_random])
-        self._cars.start(_CAR, [self.task.starts.draw(self.np_random, options)])
+        self._cars.start(_CAR, [self.task.draw(self.np_random, options)])
         return self._cars.observation[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -199,7 +199,7 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
                 generators[i], known_seeds[i] = seeding.np_random(seeds[i])
         self._np_random, self._np_random_seed = tuple(generators), tuple(known_seeds)
         self._cars.draw_from(generators)
-        self._cars.start(cars, [self.task.starts.draw(generators[i], given) for i in cars.tolist()])
+        self._cars.start(cars, [self.task.draw(generators[i], given) for i in cars.tolist()])
         infos = _masked(self._cars.infos(), mask)
         for i in cars.tolist() if self._painters else ():
             self._painters[i].add({name: values[i] for name, values in infos.items()})

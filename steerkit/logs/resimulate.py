@@ -15,6 +15,7 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import degrees_of
 from steerkit.logs import Drive
+from steerkit.logs.channels import Array
 from steerkit.metrics import largest, rms
 from steerkit.paths.path import Path
 from steerkit.plants.single_track import NonlinearSingleTrack
@@ -25,8 +26,6 @@ from steerkit.scenario.assembly import bare, steering_loop
 from steerkit.scenario.catalogue import DesignModel, make_controller
 from steerkit.task import A_Y_MAX, DT, JERK_MAX
 from steerkit.vehicles import Vehicle
-
-Array = NDArray[np.floating[Any]]
 
 _SPACING = 2.0
 """The driven way has a point so often [m]."""

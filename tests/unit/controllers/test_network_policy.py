@@ -37,7 +37,7 @@ def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
     loop = steering_loop(
         path=task.path, controller=block, doe=Integrator(), reference=scenario.ahead, **scenario.blocks(task.path)
     )
-    first = task.starts.states([task.starts.draw(np.random.default_rng(4))])
+    first = task.starts([task.draw(np.random.default_rng(4))])
     start = dict(zip(task.loop.names, first.x)) | {"controller": ()}
     floats = [
         type(x)(*[float(v[0]) for v in x]) if hasattr(x, "_fields") else tuple(float(v[0]) for v in x)

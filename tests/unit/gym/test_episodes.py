@@ -97,7 +97,7 @@ def test_what_is_no_number_any_more_is_told_with_the_car_and_the_signal() -> Non
     episodes = Episodes(task, CARS, AutoresetMode.NEXT_STEP)
     generators = [np.random.default_rng(i) for i in range(CARS)]
     episodes.draw_from(generators)
-    episodes.start(np.arange(CARS), [task.starts.draw(generator) for generator in generators])
+    episodes.start(np.arange(CARS), [task.draw(generator) for generator in generators])
     actions = np.zeros(CARS)
     actions[17] = np.nan
     with pytest.raises(FloatingPointError, match="of car 17 is nan after 1 steps"):

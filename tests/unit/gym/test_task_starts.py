@@ -31,12 +31,12 @@ def test_a_car_starts_in_the_steady_state_of_its_bend() -> None:
 
 def test_on_an_open_course_a_car_starts_with_room_before_its_end() -> None:
     task, rng = Task(course="straight"), np.random.default_rng(0)
-    starts = np.array([task.starts.draw(rng).s for _ in range(2000)])
+    starts = np.array([task.draw(rng).s for _ in range(2000)])
     end = task.path.length - END_MARGIN - LEAST_ROOM
     assert 0.0 <= starts.min() < 0.01 * end
     assert 0.99 * end < starts.max() <= end
     closed = Task(course="circle")
-    around = np.array([closed.starts.draw(rng).s for _ in range(2000)])
+    around = np.array([closed.draw(rng).s for _ in range(2000)])
     assert around.max() > 0.99 * closed.path.length
 
 
@@ -46,13 +46,13 @@ def test_on_an_open_course_a_car_starts_with_room_before_its_end() -> None:
 )
 def test_a_start_that_is_no_number_on_the_course_is_named(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=f"TrackSteering.reset.*{next(iter(options))}.*expected"):
-        Task(course="genesis").starts.draw(np.random.default_rng(0), options)
+        Task(course="genesis").draw(np.random.default_rng(0), options)
 
 
 def test_each_episode_has_the_human_and_the_noise_of_its_seed() -> None:
     task = Task(conditions="hard")
     draws = [Draw(seed=seed, s=10.0, e=0.0, psi_e=0.0) for seed in (1, 2, 1)]
-    states = dict(zip(task.loop.names, task.starts.states(draws).x, strict=True))
+    states = dict(zip(task.loop.names, task.starts(draws).x, strict=True))
     for name in ("driver", "sensors"):
         numbers = np.array([np.broadcast_to(column, 3) for column in states[name]], dtype=float)
         np.testing.assert_array_equal(numbers[:, 0], numbers[:, 2])

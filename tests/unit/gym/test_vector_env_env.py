@@ -36,7 +36,7 @@ def test_the_steps_are_those_of_the_same_loop_simulated() -> None:
 
     scenario = task.place
     loop = task.loop.with_block("controller", Script(angles=tuple(IDOE_ACTIONS[a] for a in actions)))
-    start = task.starts.states([task.starts.draw(np.random.default_rng(5))])
+    start = task.starts([task.draw(np.random.default_rng(5))])
     x = [
         type(b)(*[float(v[0]) for v in b]) if hasattr(b, "_fields") else tuple(float(v[0]) for v in b) for b in start.x
     ]
