@@ -184,9 +184,7 @@ STEPS = 20
 """A signal has so many steps at least up to what the limits ask about."""
 
 
-def audit(config: CarConfig) -> list[str]:
-    """All contradictions, one a line; empty for a sound configuration. Raises nothing."""
-    return [*_signals(config), *_frames(config), *_ranges(config), *_command(config)]
+# Each of the four audits yields contradictions, one a line, and raises nothing.
 
 
 def _signals(config: CarConfig) -> Iterator[str]:
@@ -388,7 +386,7 @@ class Reading:
             **{key: self.entry("server", server, key, bool, False) for key in ("listen_only", "keep_recording")},
             **dict[str, Any](self.kit()),
         )
-        if mistakes := audit(config):
+        if mistakes := [*_signals(config), *_frames(config), *_ranges(config), *_command(config)]:
             raise ConfigError("\n".join(f"{self.where}: {m}" for m in mistakes))
         return config
 

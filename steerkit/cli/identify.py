@@ -75,17 +75,19 @@ def identify(
     if wheelbase is not None or mass is not None:
         length, weight = wheelbase or float(car.wheelbase), mass or float(car.m)
         car = scaled(f"{car.name}-scaled", m=weight, wheelbase=length, steer_ratio=float(car.steer_ratio))
-    called = name or f"{Path(log[0]).name.split('.')[0]}-car"
+    called, held = name or f"{Path(log[0]).name.split('.')[0]}-car", _fixed(fix or ())
     with console.status("reading and fitting", spinner="line") if not quiet else contextlib.nullcontext():
         drive = ident.read_drive(log, given, **how)
-        identified = ident.identify(drive, car, fixed=_fixed(fix or ()), name=called)
+        identified = ident.identify(drive, car, fixed=held, name=called)
         prediction, agrees, judged = None, "", drive
         if held_out:
             judged = other = ident.read_drive(held_out, given, **how)
             prediction = identified.predict(other)
             if other.turns:
-                agrees = identified.against(ident.identify(other, car, fixed=_fixed(fix or ())))
-        grip = ident.identify_tyres(drive, car, fixed=_steering(fix)) if tyres else None
+                agrees = identified.against(ident.identify(other, car, fixed=held))
+        # what the tyres' model has too: its delay is both of the other's
+        of_tyres = {key: value for key, value in held.items() if key in ("steer_ratio", "offset", "rate_zero")}
+        grip = ident.identify_tyres(drive, car, fixed=of_tyres) if tyres else None
         residual = ident.learn_residual(grip, drive) if grip else None
         ahead = look_ahead(identified, judged, grip, residual)
     command = " ".join(["steerkit", *sys.argv[1:]])
@@ -155,11 +157,6 @@ def _report(
     if not quiet:
         for note in (*identified.notes, *(grip.notes if grip else ())):
             console.print(escape(note), highlight=False, soft_wrap=True)
-
-
-def _steering(words: list[str] | None) -> dict[str, float]:
-    """Of what is held, what the tyres' model has too: its delay is both of the other's."""
-    return {key: value for key, value in _fixed(words or ()).items() if key in ("steer_ratio", "offset", "rate_zero")}
 
 
 def _fixed(words: list[str] | tuple[str, ...]) -> dict[str, float]:

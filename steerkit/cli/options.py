@@ -235,9 +235,7 @@ def streamed(where: str, *, in_time: bool = False, signals: Sequence[str] | None
     server = Server(where)
     console.print(f"live in Foxglove: open a connection to {server.address}", soft_wrap=True)
 
-    def each(sample: Any) -> None:
-        server.sample(sample, signals)
-
+    each = functools.partial(server.sample, signals=signals)
     try:
         yield paced(each) if in_time else each
     finally:
