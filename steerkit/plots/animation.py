@@ -223,10 +223,13 @@ class CarShape:
 
     def place(self, x: float, y: float, psi: float, delta: float) -> None:
         """Move it: centre of gravity x, y [m], yaw psi [rad], road-wheel angle delta [rad]."""
+        from matplotlib.transforms import Affine2D
+
+        car = Affine2D().rotate(psi).translate(x, y)
         for shape, (along, across, front) in zip(self.shapes, self.wheels):
-            wheel = _moved(self.tyre, delta if front else 0.0, along, across)
-            shape.set_xy(_moved(wheel, psi, x, y))
-        self.shapes[-1].set_xy(_moved(self.body, psi, x, y))
+            wheel = Affine2D().rotate(delta if front else 0.0).translate(along, across) + car
+            shape.set_xy(wheel.transform(self.tyre))
+        self.shapes[-1].set_xy(car.transform(self.body))
 
 
 def _box(middle: float, half: float, side: float, nose: float = 0.0) -> np.ndarray:
@@ -234,9 +237,3 @@ def _box(middle: float, half: float, side: float, nose: float = 0.0) -> np.ndarr
     front, back, cut = middle + half, middle - half, side - 0.6 * nose
     left = np.array([(front, cut), (front - nose, side), (back, side)])
     return np.vstack((left[::-1] * (1.0, -1.0), left))
-
-
-def _moved(points: np.ndarray, angle: float, x: float, y: float) -> np.ndarray:
-    """Points turned by an angle about the origin, then moved to (x, y)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return points @ np.array([[c, s], [-s, c]]) + np.array([x, y])
