@@ -236,7 +236,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
             for lag in LAGS
         ]
     if part == "learner":
-        how = (0.15, hard, 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, hard, options.last)
+        how = (0.2, hard, 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, hard, options.last)
         return [
             LearnerJob(car, *speeds, seed, *how)
             for seed in seeds

@@ -2,6 +2,7 @@
 
 import atexit
 import contextlib
+import functools
 import gc
 import importlib
 import logging
@@ -27,8 +28,12 @@ SHARED = (
     *("pydantic", "rich", "scipy", "steerkit", "typer"),
 )
 """Packages of which programs import parts late: this process imports those too, once, for the next programs."""
-FIRST = ("steerkit.cli.drive", "steerkit.cli.learn", "steerkit.car.processes")
-"""What most programs import: this process does so before the first."""
+FIRST = (
+    *("steerkit.cli.drive", "steerkit.cli.learn", "steerkit.cli.car", "steerkit.car.processes", "cantools"),
+    *("matplotlib.style", "matplotlib.figure", "matplotlib.backends.backend_agg", "scipy.interpolate", "scipy.signal"),
+)
+COURSES = ("paper", "circle")
+"""What most programs import, and the courses that most drive on: this process has both before the first."""
 
 
 def alive(pid: int) -> bool:
@@ -61,8 +66,7 @@ def python(
             text=True,
             timeout=seconds,
         )
-    for name in FIRST:
-        importlib.import_module(name)
+    _prepare()
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err, tempfile.TemporaryFile("w+") as new:
         child = os.fork()
         if child == 0:
@@ -83,6 +87,15 @@ def python(
             with contextlib.suppress(ModuleNotFoundError):  # one that the program made itself
                 importlib.import_module(name)
         return subprocess.CompletedProcess(words, os.waitstatus_to_exitcode(ended[1]), out.read(), err.read())
+
+
+@functools.cache
+def _prepare() -> None:
+    """Import what most programs do, and make their courses: forks have both."""
+    for name in FIRST:
+        importlib.import_module(name)
+    for name in COURSES:
+        importlib.import_module("steerkit").course(name)
 
 
 def _become(
@@ -135,6 +148,7 @@ class Forked(subprocess.Popen[str]):
         if args[0] != sys.executable or args[1] not in ("-m", "-c") or "jax" in sys.modules:  # see `python`
             super()._execute_child(args, *how)  # type: ignore[misc]
             return
+        _prepare()
         prepare, folder, environment = how[1], how[4], how[5]
         pipes = to_child, _, _, from_child, _, errors = how[9:15]  # as Popen orders them, -1: none
         streams = [(stream, number) for number, stream in enumerate((to_child, from_child, errors)) if stream >= 0]
