@@ -53,6 +53,9 @@ the first, wild seconds make up to 170 of it."""
 AGREES = 1.15
 """A car found from where it was steered most stays while it foresees the newest rows as well, by this factor, as one
 found from them alone: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, with 10 % less gain 1.2."""
+STAYS = 1.05
+"""A fast car that was found before stays while it foresees the record as well as one found anew, by this factor: calm
+driving tells little of a car, and nets of cars found anew differ threefold in the rate of the wheel."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -88,6 +91,8 @@ BETTER = 0.95
 """They are believed where w is foreseen by that factor better with them."""
 
 
+_CAR = (*ANSWER, *FELT, "straight")
+"""What is known of a car from one update to the next, beside its dead time."""
 _LEAST = (-np.inf, 0.0, 0.0, 0.0, -np.inf)
 """Of a fast car's `keep`, gains and constant."""
 
@@ -108,7 +113,7 @@ def process_of(
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
-    before: what was found before; of a fast car it stays while it explains as well, so that nets which follow on each
+    before: what was found before; a fast car stays while it foresees as well (STAYS), so that nets which follow on each
     other are of one car. Of a car that has changed, what was recorded before that is left out (`since_change`,
     `since_other_gain`).
     """
@@ -117,14 +122,21 @@ def process_of(
     most = min(LONGEST, round(longest / DT))
     record = since_change(record, most)
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
-        record = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
+        newest = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
+        if len(newest) >= ROWS // 2 or before is None or not before.feels:  # wander, too, looks like another gain
+            record = newest
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
 
         def found(rows: Transitions) -> tuple[int, Transitions, CarModel]:
             best = dead_time_of(rows, most, description.scaled_from, 0 if before is None else before.samples)
             part = aligned(rows, best)
             model = refined(CarModel.fit(part, description, fast=fast), part)
-            return best, part, overshooting(model, part, description, before) if fast else model
+            model = overshooting(model, part, description, before) if fast else model
+            if not fast or before is None or not before.fast or len(_foreseeable(part)) < REFINED:
+                return best, part, model
+            old, same = aligned(rows, before.samples), {name: getattr(before, name) for name in _CAR}
+            stays = strays_of(replace(model, **same), old) <= STAYS * strays_of(model, part)
+            return (before.samples, old, replace(model, **same)) if stays else (best, part, model)
 
         best, part, model = found(most_steered(record) if fast else record)
         if fast and len(record) > ROWS:  # what was steered most is older: is it of another car?
@@ -136,7 +148,7 @@ def process_of(
         best, part, model = _of_others(record, description, most, fast)
         model = overshooting(model, part, description, before) if fast else model
     part = aligned(record, best)
-    numbers = {name: getattr(model, name) for name in (*ANSWER, *FELT, "straight")}
+    numbers = {name: getattr(model, name) for name in _CAR}
     s, s_next = part.s[:, : len(COLUMNS)].copy(), part.s_next[:, : len(COLUMNS)].copy()
     s[:, DOE] -= model.straight
     s_next[:, DOE] -= model.straight

@@ -1,6 +1,7 @@
 """Dead time out of recorded transitions: the one that a car really has, and what goes with it."""
 
 import json
+import warnings
 from dataclasses import fields, replace
 
 import numpy as np
@@ -350,6 +351,41 @@ def test_a_fast_car_that_has_changed_is_not_that_of_where_it_was_steered_most(ga
     model = process_of(after(first, since), DESCRIPTION, 0.6).model
     v = np.array([12.0, 18.0, 24.0])
     assert model.ratio(v) == pytest.approx(car.ratio(v), rel=0.04)
+
+
+def test_a_fast_car_stays_the_one_that_was_found_while_it_foresees_the_record_as_well() -> None:
+    """Of another record of it, with other noise; of a car with 20 % less gain, and of a slow one, it is found anew."""
+
+    def found(
+        car: CarModel, seed: int, before: DelayCompensator | None = None, rows: int | None = None
+    ) -> DelayCompensator:
+        speeds = (12.0, 24.0) if car.fast else (4.0, 7.0)
+        record = late(4, car=car, speeds=speeds, n=1200, noise=0.002, seed=seed).part(slice(rows))
+        return process_of(record, DESCRIPTION, 0.6, before).forecast
+
+    first = found(FAST, 0)
+    assert found(FAST, 1) != first
+    assert replace(found(FAST, 1, first), trust_course=first.trust_course) == first
+    other = replace(FAST, now=0.8 * FAST.now, before=0.8 * FAST.before)
+    assert found(other, 1, first) == found(other, 1)
+    slow = found(CAR, 0)
+    assert found(CAR, 1, slow) == found(CAR, 1)
+    assert found(FAST, 1, slow) == found(FAST, 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert found(FAST, 1, first, rows=25) == found(FAST, 1, rows=25), "too few rows tell nothing"
+
+
+@pytest.mark.parametrize(
+    ("slew", "rows", "left"), [(8.0, 400, 1700), (8.0, ROWS // 2, ROWS // 2), (UNLIMITED, 400, 400)]
+)
+def test_few_rows_in_which_a_car_that_wanders_seems_another_leave_nothing_out(
+    slew: float, rows: int, left: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = with_heading_of_yaw_rate(late(4, car=FAST, speeds=(12.0, 24.0), n=1700, noise=0.002))
+    before = replace(process_of(record, DESCRIPTION, 0.6).forecast, slew=slew)
+    monkeypatch.setattr(dead_time, "since_other_gain", lambda record, _: record.part(slice(-rows, None)))
+    assert len(process_of(record, DESCRIPTION, 0.6, before).record) == pytest.approx(left, rel=0.1)
 
 
 @pytest.mark.parametrize(("car", "rows"), [(FAST, ROWS - 100), (CAR, 3600)])

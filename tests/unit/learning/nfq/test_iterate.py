@@ -1,6 +1,7 @@
 """Costs, targets and updates of NFQ: by hand first, then invariants."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -244,6 +245,18 @@ def test_of_all_nets_those_stay_that_drive_the_learned_car_best(
     assert all(a is b for a, b in zip(first, (net for nets in seen[1][:2] for net in nets), strict=True))
     best = [net for nets in (seen[1][1], seen[1][5]) for net in nets]
     assert all(a is b for a, b in zip(second, best, strict=True))
+
+
+@pytest.mark.parametrize(("fast", "new", "stay"), [(1.0, 0.96, True), (1.0, 0.94, False), (0.0, 0.99, False)])
+def test_at_the_wheel_of_a_fast_car_a_net_stays_that_drives_about_as_well(
+    fast: float, new: float, stay: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record, asked = driven(n=40), problem(nets=1, epochs=0, imagined=10)
+    before = iterate(record, asked)
+    monkeypatch.setattr(nfq, "trial_costs", lambda *_: np.array([1.0, new]))
+    car = replace(CarModel.fit(record, asked.description), fast=fast)
+    after = iterate(record, asked, before, seed=1, model=car)
+    assert (after[0] is before[0]) is stay
 
 
 @pytest.mark.parametrize(
