@@ -53,9 +53,11 @@ the first, wild seconds make up to 170 of it."""
 AGREES = 1.15
 """A car found from where it was steered most stays while it foresees the newest rows as well, by this factor, as one
 found from them alone: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, with 10 % less gain 1.2."""
+SETTLED = 1500
+"""Samples from which on a fast car stays that was found before: 75 s ..."""
 STAYS = 1.05
-"""A fast car that was found before stays while it foresees the record as well as one found anew, by this factor: calm
-driving tells little of a car, and nets of cars found anew differ threefold in the rate of the wheel."""
+"""... while it foresees the record as well as one found anew, by this factor: calm driving tells little of a car, and
+nets of cars found anew differ threefold in the rate of the wheel."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -123,7 +125,7 @@ def process_of(
     record = since_change(record, most)
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
         newest = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
-        if len(newest) >= ROWS // 2 or before is None or not before.feels:  # wander, too, looks like another gain
+        if len(newest) >= SETTLED or before is None or not before.feels:  # wander, too, looks like another gain
             record = newest
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
 
@@ -132,7 +134,7 @@ def process_of(
             part = aligned(rows, best)
             model = refined(CarModel.fit(part, description, fast=fast), part)
             model = overshooting(model, part, description, before) if fast else model
-            if not fast or before is None or not before.fast or len(_foreseeable(part)) < REFINED:
+            if not fast or before is None or not before.fast or len(rows) < SETTLED:
                 return best, part, model
             old, same = aligned(rows, before.samples), {name: getattr(before, name) for name in _CAR}
             stays = strays_of(replace(model, **same), old) <= STAYS * strays_of(model, part)

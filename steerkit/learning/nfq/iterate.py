@@ -17,7 +17,7 @@ from steerkit.controllers.nfq_policy import NfqPolicy, mean_of
 from steerkit.controllers.policy import ACTION, DOE, E, StateDescription, V
 from steerkit.learning.costs import Cost, Costs, TanhCost
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.dead_time import process_of
+from steerkit.learning.nfq.dead_time import SETTLED, process_of
 from steerkit.learning.nfq.model import CarModel, Explained, Imagined, explained, imagine, near_path
 from steerkit.learning.nfq.rprop import Net, engine_of, fit, new_net, predictor, sizes_of
 from steerkit.task import DT, RELEASE
@@ -31,8 +31,8 @@ FAR = 8
 TRIAL = 60
 """Samples of each."""
 BETTER = 0.95
-"""A fast car's new net takes over from one of the update before where its drives cost so much of that one's [1]: of
-nets that cost alike, the wheel's rates differ twofold."""
+"""A fast car's new net takes over from one of the update before where its drives cost so much of that one's [1], from
+SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
@@ -291,7 +291,7 @@ def iterate(
         members += new
     if known is not None:
         costs = trial_costs(problem, known, members, np.random.default_rng([seed, 2_000_003]))
-        if known.model.fast > 0.0:
+        if known.model.fast > 0.0 and len(transitions) >= SETTLED:
             costs[len(nets_before) // size :] /= BETTER
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets

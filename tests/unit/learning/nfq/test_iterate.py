@@ -247,10 +247,15 @@ def test_of_all_nets_those_stay_that_drive_the_learned_car_best(
     assert all(a is b for a, b in zip(second, best, strict=True))
 
 
-@pytest.mark.parametrize(("fast", "new", "stay"), [(1.0, 0.96, True), (1.0, 0.94, False), (0.0, 0.99, False)])
+@pytest.mark.parametrize(
+    ("fast", "rows", "new", "stay"),
+    [(1.0, 40, 0.96, True), (1.0, 40, 0.94, False), (1.0, 41, 0.96, False), (0.0, 40, 0.99, False)],
+)
 def test_at_the_wheel_of_a_fast_car_a_net_stays_that_drives_about_as_well(
-    fast: float, new: float, stay: bool, monkeypatch: pytest.MonkeyPatch
+    fast: float, rows: int, new: float, stay: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """From some rows on."""
+    monkeypatch.setattr(nfq, "SETTLED", rows)
     record, asked = driven(n=40), problem(nets=1, epochs=0, imagined=10)
     before = iterate(record, asked)
     monkeypatch.setattr(nfq, "trial_costs", lambda *_: np.array([1.0, new]))
