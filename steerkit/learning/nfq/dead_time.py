@@ -54,7 +54,7 @@ AGREES = 1.15
 """A car found from where it was steered most stays while it foresees the newest rows as well, by this factor, as one
 found from them alone: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, with 10 % less gain 1.2."""
 SETTLED = 1500
-"""Samples from which on a fast car stays that was found before: 75 s ..."""
+"""Samples from which on a car with overshoot or slew stays that was found before: 75 s ..."""
 STAYS = 1.05
 """... while it foresees the record as well as one found anew, by this factor: calm driving tells little of a car, and
 nets of cars found anew differ threefold in the rate of the wheel."""
@@ -115,9 +115,9 @@ def process_of(
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
-    before: what was found before; a fast car stays while it foresees as well (STAYS), so that nets which follow on each
-    other are of one car. Of a car that has changed, what was recorded before that is left out (`since_change`,
-    `since_other_gain`).
+    before: what was found before; a car with overshoot or slew stays while it foresees as well (STAYS), so that nets
+    which follow on each other are of one car. Of a car that has changed, what was recorded before is left out
+    (`since_change`, `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
@@ -134,7 +134,7 @@ def process_of(
             part = aligned(rows, best)
             model = refined(CarModel.fit(part, description, fast=fast), part)
             model = overshooting(model, part, description, before) if fast else model
-            if not fast or before is None or not before.fast or len(rows) < SETTLED:
+            if not fast or before is None or not before.feels or len(rows) < SETTLED:
                 return best, part, model
             old, same = aligned(rows, before.samples), {name: getattr(before, name) for name in _CAR}
             stays = strays_of(replace(model, **same), old) <= STAYS * strays_of(model, part)

@@ -31,8 +31,8 @@ FAR = 8
 TRIAL = 60
 """Samples of each."""
 BETTER = 0.95
-"""A fast car's new net takes over from one of the update before where its drives cost so much of that one's [1], from
-SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
+"""A new net of a car with overshoot or slew takes over from one of the update before where its drives cost so much of
+that one's [1], from SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
@@ -80,8 +80,8 @@ class FitSetting:
     nets: int = number(1, low=1)
     """Members of the ensemble: same targets, own random weights. Single fits differ threefold in wheel rate at equal
     RMS e: where a model of the car is learned, those of all iterations and of the update before drive that car
-    (`trial_costs`), and the ones with the least cost stay; at the wheel of a fast car new ones take over where they
-    are BETTER. Without a model: the last iteration's."""
+    (`trial_costs`), and the ones with the least cost stay; new ones of a car with overshoot or slew where they are
+    BETTER. Without a model: the last iteration's."""
     mirror: bool = False
     """Learn from every transition's mirror image too, with the same target: twice the data for twice the time."""
     iterations: int = number(1, low=1)
@@ -291,7 +291,7 @@ def iterate(
         members += new
     if known is not None:
         costs = trial_costs(problem, known, members, np.random.default_rng([seed, 2_000_003]))
-        if known.model.fast > 0.0 and len(transitions) >= SETTLED:
+        if known.model.feels and len(transitions) >= SETTLED:
             costs[len(nets_before) // size :] /= BETTER
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets

@@ -248,18 +248,18 @@ def test_of_all_nets_those_stay_that_drive_the_learned_car_best(
 
 
 @pytest.mark.parametrize(
-    ("fast", "rows", "new", "stay"),
-    [(1.0, 40, 0.96, True), (1.0, 40, 0.94, False), (1.0, 41, 0.96, False), (0.0, 40, 0.99, False)],
+    ("lead", "rows", "new", "stay"),
+    [(0.6, 40, 0.96, True), (0.6, 40, 0.94, False), (0.6, 41, 0.96, False), (0.0, 40, 0.99, False)],
 )
-def test_at_the_wheel_of_a_fast_car_a_net_stays_that_drives_about_as_well(
-    fast: float, rows: int, new: float, stay: bool, monkeypatch: pytest.MonkeyPatch
+def test_where_steering_overshoots_a_net_stays_that_drives_about_as_well(
+    lead: float, rows: int, new: float, stay: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From some rows on."""
     monkeypatch.setattr(nfq, "SETTLED", rows)
     record, asked = driven(n=40), problem(nets=1, epochs=0, imagined=10)
     before = iterate(record, asked)
     monkeypatch.setattr(nfq, "trial_costs", lambda *_: np.array([1.0, new]))
-    car = replace(CarModel.fit(record, asked.description), fast=fast)
+    car = replace(CarModel.fit(record, asked.description), fast=1.0, lead=lead)
     after = iterate(record, asked, before, seed=1, model=car)
     assert (after[0] is before[0]) is stay
 
