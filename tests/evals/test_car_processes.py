@@ -194,14 +194,19 @@ def test_a_recording_that_is_being_written_is_refused(tmp_path: Path) -> None:
 def test_a_second_process_on_the_same_adapter_is_refused_and_the_first_does_not_notice(tmp_path: Path) -> None:
     simulated, channel = processes.start_simulated(CONFIG)
     server = processes.start_car_server(CONFIG, str(tmp_path / "first"), channel=channel)
-    try:
-        refused = pytest.raises(CarLost, match="another process has the adapter; end it first")
-        with (tmp_path / "second.log").open("w") as log, refused:
-            processes.start_car_server(CONFIG, str(tmp_path / "second"), channel=channel, log=log)
+
+    def errors() -> float:  # of a start on a busy machine some, of what it was too late to read
         with CarClient(str(tmp_path / "first"), controller=False) as link:
             assert link.wait(timeout=10.0).pose_age < 1.0
             assert link.last is not None
-            assert link.last.errors == 0.0
+            return link.last.errors
+
+    try:
+        before = errors()
+        refused = pytest.raises(CarLost, match="another process has the adapter; end it first")
+        with (tmp_path / "second.log").open("w") as log, refused:
+            processes.start_car_server(CONFIG, str(tmp_path / "second"), channel=channel, log=log)
+        assert errors() == before
     finally:
         for process in (server, simulated):
             process.terminate()
