@@ -254,7 +254,11 @@ def write_arrays(file: File, kind: str, arrays: Mapping[str, Any], *, durable: b
 
 def read_arrays(file: File, kind: str, *, largest: int = LARGEST) -> dict[str, NDArray[Any]]:
     """The arrays that `write_arrays` wrote; raises ValueError for another kind of thing, else as `read_npz`."""
-    arrays = read_npz(file, kind, largest=largest)
+    try:
+        arrays = read_npz(file, kind, largest=largest)
+    except ValueError as why:
+        hint = f"it is cut short or not a steerkit {kind} file; write it again with save()"
+        raise ValueError(f"{file}: cannot be read ({why.__cause__!s:.200}); {hint}") from why
     kept = str(arrays.get("format", "an .npz of another program"))
     require(kept == f"steerkit {kind} 1", str(file), f"holds '{kept}', expected 'steerkit {kind} 1'")
     return arrays

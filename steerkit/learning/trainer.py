@@ -17,7 +17,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
-from steerkit._support.errors import require_within
+from steerkit._support.errors import require, require_within
 from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.iterate import NOTHING_LEARNED, Learned, Nets, Problem, update
@@ -77,13 +77,14 @@ class SimulatedTrainer:
         self.seconds, self.learned = seconds, pending[2] if pending else learned
         self.pending = pending
         """The unfinished job, for a checkpoint to keep and another trainer to go on with."""
-        self._spent = 0.0
+        self._newest, self._spent = pending[1] if pending else 0, 0.0
 
     def submit(self, job: Job, t: float) -> None:
         """Train now; the result is there `seconds` after t, or after the job before."""
+        _require_newer(job, self._newest)
         began = time.perf_counter()
         self.learned = job.train(self.learned)
-        self._spent += time.perf_counter() - began
+        self._newest, self._spent = job.number, self._spent + time.perf_counter() - began
         start = max(t, self.pending[0]) if self.pending else t
         self.pending = (start + self.seconds, job.number, self.learned)
 
@@ -138,8 +139,9 @@ class Trainer:
     def submit(self, job: Job, t: float = 0.0) -> None:
         """Train as soon as the jobs before are done; what is recorded after this call is not learned from.
 
-        Raises RuntimeError after `close`.
+        Raises ValueError for a number that is not larger than the one before, RuntimeError after `close`.
         """
+        _require_newer(job, self._newest)
         if self._closed:
             raise RuntimeError("Trainer: closed; make a new one")
         while self._jobs and self._futures[0].done():  # what nobody fetched is not done again if the process dies
@@ -252,3 +254,7 @@ def _train(job: Job) -> tuple[Learned, float]:
 
 Training = SimulatedTrainer | Trainer
 """What trains: `submit` a job, `poll` for its result, and ask whether it is `busy`."""
+
+
+def _require_newer(job: Job, newest: int) -> None:
+    require(job.number > newest, "submit", f"job number {job.number}, expected > {newest}, the one before")

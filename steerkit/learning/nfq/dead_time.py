@@ -136,9 +136,10 @@ def process_of(
             model = overshooting(model, part, description, before) if fast else model
             if not fast or before is None or not before.feels or len(rows) < SETTLED:
                 return best, part, model
-            old, same = aligned(rows, before.samples), {name: getattr(before, name) for name in _CAR}
-            stays = strays_of(replace(model, **same), old) <= STAYS * strays_of(model, part)
-            return (before.samples, old, replace(model, **same)) if stays else (best, part, model)
+            old = replace(model, **{name: getattr(before, name) for name in _CAR})
+            of_old = aligned(rows, before.samples)
+            stays = strays_of(old, of_old) <= STAYS * strays_of(model, part)
+            return (before.samples, of_old, old) if stays else (best, part, model)
 
         best, part, model = found(most_steered(record) if fast else record)
         if fast and len(record) > ROWS:  # what was steered most is older: is it of another car?

@@ -30,7 +30,7 @@ FAR = 8
 """One in so many begins beside the path, by up to twice RELEASE, the others on it."""
 TRIAL = 60
 """Samples of each."""
-BETTER = 0.95
+CHEAPER = 0.95
 """A new net of a car with overshoot or slew takes over from one of the update before where its drives cost so much of
 that one's [1], from SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
 
@@ -81,7 +81,7 @@ class FitSetting:
     """Members of the ensemble: same targets, own random weights. Single fits differ threefold in wheel rate at equal
     RMS e: where a model of the car is learned, those of all iterations and of the update before drive that car
     (`trial_costs`), and the ones with the least cost stay; new ones of a car with overshoot or slew where they are
-    BETTER. Without a model: the last iteration's."""
+    CHEAPER. Without a model: the last iteration's."""
     mirror: bool = False
     """Learn from every transition's mirror image too, with the same target: twice the data for twice the time."""
     iterations: int = number(1, low=1)
@@ -292,7 +292,7 @@ def iterate(
     if known is not None:
         costs = trial_costs(problem, known, members, np.random.default_rng([seed, 2_000_003]))
         if known.model.feels and len(transitions) >= SETTLED:
-            costs[len(nets_before) // size :] /= BETTER
+            costs[len(nets_before) // size :] /= CHEAPER
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets
 

@@ -63,7 +63,7 @@ def test_a_policy_block_comes_back_from_its_file(tmp_path: Any) -> None:
     np.testing.assert_array_equal(again.output(0.0, (), u).action, block.output(0.0, (), u).action)
     assert again.description == block.description
     (tmp_path / "p.npz").write_bytes(b"PK no more")
-    with pytest.raises(ValueError, match=r"policy block: .*p.npz is no NumPy .npz file, or a broken one"):
+    with pytest.raises(ValueError, match="cut short or not a steerkit policy block file"):
         PolicyBlock.load(tmp_path / "p.npz")
     with pytest.raises(TypeError, match="only weights can be written"):
         PolicyBlock(policy=lambda x: np.zeros(len(x))).save(tmp_path / "q.npz")

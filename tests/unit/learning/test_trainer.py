@@ -130,6 +130,8 @@ def test_every_trainer_makes_the_nets_of_iterate_one_after_the_other(trainer: An
     assert same(second.nets, expected(3, expected(2, first)))
     assert second.seconds > 0.0
     assert (trainer.busy, trainer.poll(100.0)) == (False, None)
+    with pytest.raises(ValueError, match="job number 3, expected > 3, the one before"):
+        trainer.submit(job(3), 12.0)
 
 
 # ---- simulated --------------------------------------------------------------------------------------------------
@@ -151,6 +153,8 @@ def test_simulated_nets_are_ready_when_the_charged_time_has_passed() -> None:
     resumed = SimulatedTrainer(seconds=1.5, pending=trainer.pending)  # of a checkpoint
     assert same(resumed.learned.nets, trainer.learned.nets)
     assert resumed.poll(51.5) is not None
+    with pytest.raises(ValueError, match="job number 5"):
+        resumed.submit(job(5), 52.0)
     again = SimulatedTrainer(learned=Learned(first.nets or (), first.forecast))
     again.submit(job(2), 60.0)
     assert same(again.learned.nets, expected(2, first.nets))
