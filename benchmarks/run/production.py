@@ -14,7 +14,6 @@ from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import STEP, Frame, Port
 from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.state_machine import Mode, Order
-from steerkit.paths.path import Path
 from steerkit.task import DT
 
 BEAT = 0.1
@@ -54,9 +53,9 @@ class _Timed:
 class PortedCar:
     """A production car behind its port, for whoever speaks to a kit: `receive` commands, `advance` it in time."""
 
-    def __init__(self, config: CarConfig, path: Path, *, judge: SafetyJudge | None = None, **more: Any):
+    def __init__(self, config: CarConfig, *, judge: SafetyJudge | None = None, **more: Any):
         self.config, self.judge = config, judge
-        self.car, self.port = ProductionCar(config, path, judge=judge, **more), Port(config)
+        self.car, self.port = ProductionCar(config, judge=judge, **more), Port(config)
         self.due = self.car.t + STEP
         self.port.interface = self.library = _Timed(self.port.interface)
         self.steps = 0
@@ -96,13 +95,11 @@ class PortedCar:
 class ProductionWorld:
     """A line to the car, as a `CarClient` is one: each `query` moves time on by a sample. The panel's keys are read."""
 
-    def __init__(
-        self, config: CarConfig, path: Path | None = None, *, judged: bool = True, dt: float = DT, **more: Any
-    ):
-        self.config, self.path, self.dt = config, path or config.course, dt
+    def __init__(self, config: CarConfig, *, judged: bool = True, dt: float = DT, **more: Any):
+        self.config, self.dt = config, dt
         self.judge = SafetyJudge(platform(config.port)) if judged else None
         self.car = self.made(**more)
-        self.core = Core(config, self.path)
+        self.core = Core(config)
         self.t, self.misses = 0.0, 0
         self.last: protocol.Snapshot | None = None
         self.modes: list[tuple[float, Mode, str]] = []
@@ -117,7 +114,7 @@ class ProductionWorld:
 
     def made(self, **more: Any) -> Any:
         """Its car."""
-        return PortedCar(self.config, self.path, judge=self.judge, **more)
+        return PortedCar(self.config, judge=self.judge, **more)
 
     def told(self, event: Event, outputs: list[Any]) -> None:
         """Is given every event, and what the core made of it."""

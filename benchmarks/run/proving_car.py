@@ -85,23 +85,23 @@ class ProvingWorld(ProductionWorld):
     beyond: commands outside the gate's limits, or sent while nobody drives.
     """
 
-    def __init__(self, wanted: Manoeuvre, config: CarConfig, path: Course, *, file: Path | None = None, **more: Any):
-        self.recorder = recordings.Recording(file, recordings.described(config, path)) if file else None
+    def __init__(self, wanted: Manoeuvre, config: CarConfig, *, file: Path | None = None, **more: Any):
+        self.recorder = recordings.Recording(file, recordings.described(config)) if file else None
         self.beyond, self.before = 0, (-math.inf, 0.0)
         how = {key: more.pop(key) for key in ("base", "minutes", "yes") if key in more}
         v = wanted.conditions.v
         given = {"s": 20.0, "v_min": v - 0.1, "v_max": v + 0.1}
-        super().__init__(config, path, judged=bool(config.port), **given | more)
+        super().__init__(config, judged=bool(config.port), **given | more)
         self.lasting, self.over = True, False
         self.seen: list[Snapshot] = []
         link: Any = self
-        self.proving = Proving(config=config, path=path, link=link, manoeuvre=wanted, **how)
+        self.proving = Proving(config=config, link=link, manoeuvre=wanted, **how)
         resting = self.proving.follow.resting
         self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=DT))
         self.order(Order.ARM)
 
     def made(self, **more: Any) -> Any:
-        return super().made(**more) if self.config.port else SimulatedCar(self.config, self.path, **more)
+        return super().made(**more) if self.config.port else SimulatedCar(self.config, **more)
 
     @property
     def runs(self) -> list[dict[str, Any]]:
@@ -212,12 +212,12 @@ def _course(car: str, name: str) -> Course:
 
 def driven(car: str, name: str, folder: Path, sides: int = 2) -> dict[str, Any]:
     """All runs of a manoeuvre on a car, to so many sides."""
-    (v, base, _), path = CARS[car], _course(car, name)
-    config = config_on(path, folder, car)
+    v, base, _ = CARS[car]
+    config = config_on(_course(car, name), folder, car)
     wanted = fitting(name, config, v)
     wanted = replace(wanted, sides=wanted.sides[:sides])
     start = 300.0 - 10.0 * v if on_course(wanted) else 20.0  # a bend is what there is to drive there
-    world = ProvingWorld(wanted, config, path, yes=True, base=base, minutes=0.3, s=start)
+    world = ProvingWorld(wanted, config, yes=True, base=base, minutes=0.3, s=start)
     world.drive(1500.0, lambda: world.over)
     runs = world.runs
     return {
@@ -235,11 +235,11 @@ def driven(car: str, name: str, folder: Path, sides: int = 2) -> dict[str, Any]:
 
 def aborted(car: str, what: str, folder: Path) -> dict[str, Any]:
     """A run that something ends; kept: did the base controller, or the human, have the car at once?"""
-    (v, base, _), path = CARS[car], _course(car, "sine")
-    config = config_on(path, folder, car)
+    v, base, _ = CARS[car]
+    config = config_on(_course(car, "sine"), folder, car)
     name, v = ("openpilot-sine-20", min(v, 10.0)) if what == "r" else ("sine", v)  # where r gets above its least bound
     wanted = replace(fitting(name, config, v), sides=("left",))
-    world = ProvingWorld(wanted, config, path, base=base)
+    world = ProvingWorld(wanted, config, base=base)
     run = world.begin()
     world.drive(0.3)
     if what in WATCHED:  # the bounds that a run was checked with are those of the linear car
@@ -337,11 +337,10 @@ def _ended_after(child: subprocess.Popen[str], seconds: float) -> Any:
 def prove(file: str, socket: str, name: str, car: str) -> None:
     """The process that is the controller: it proves, and says when a run has lasted for a while."""
     config, (v, base, _) = load(file), CARS[car]
-    path = config.course
     with CarClient(socket) as link:
         link.wait(timeout=20.0)
         wanted = replace(fitting(name, config, v), repeats=20)
-        proving = Proving(config=config, path=path, link=link, manoeuvre=wanted, base=base, yes=True, minutes=1.0)
+        proving = Proving(config=config, link=link, manoeuvre=wanted, base=base, yes=True, minutes=1.0)
         link.order(Order.ARM)
         seconds = 1.0 if on_course(wanted) else 0.4 * min(wanted.seconds, 6.0)
 

@@ -50,13 +50,12 @@ class Yard:
         rng = np.random.default_rng(seed)
         low, high = (0.8, 0.0, 0.05, radians_of(-3.0), -0.005), (1.25, 0.2, 0.2, radians_of(3.0), 0.005)
         ratio, delay, lag, offset, zero = map(float, rng.uniform(low, high))
-        path = course("calibration")
-        self.config = replace(load("dbw-kit.toml"), course=path)
+        self.config = replace(load("dbw-kit.toml"), course=course("calibration"))
         true = replace(self.config.vehicle, steer_ratio=ratio * self.config.vehicle.steer_ratio)
         untold: dict[str, Any] = dict(vehicle=true, delay=delay, lag=lag, offset=offset, rate_zero=zero)
-        self.car = SimulatedCar(self.config, path, seed=seed, v_min=4.0, v_max=5.0, **untold)
+        self.car = SimulatedCar(self.config, seed=seed, v_min=4.0, v_max=5.0, **untold)
         self.truth = dict(steer_ratio=true.steer_ratio, delay=delay, lag=lag, offset=offset, rate_zero=zero)
-        self.core, self.t = Core(self.config, path), 0.0
+        self.core, self.t = Core(self.config), 0.0
         self.last: protocol.Snapshot | None = None
         self.sent: list[tuple[float, float]] = []
         self.asked: list[tuple[float, float]] = []
@@ -68,7 +67,7 @@ class Yard:
             self._step()
         line: Any = self
         self.watched = Watched(self.config, self.note)
-        self.guided = Guided(config=self.config, path=path, link=line, minutes=minutes)
+        self.guided = Guided(config=self.config, link=line, minutes=minutes)
         resting = self.guided.follow.resting
         self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=resting.dt))
 

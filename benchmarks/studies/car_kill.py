@@ -44,10 +44,9 @@ CONFIG = "dbw-kit.toml"
 def controller(folder: Path) -> None:
     """The process that is the controller: it learns, and says now and then what is safely on disk."""
     config = load(CONFIG)
-    path = config.course
     with CarClient(str(folder / "socket")) as link:
         link.wait(timeout=10.0)
-        with CarLearner(setting("default"), folder / "run", config, path, link) as learner:
+        with CarLearner(setting("default"), folder / "run", config, link) as learner:
             began = len(learner.learner_state.transitions)
 
             def watch(run: Any) -> bool:
@@ -160,8 +159,7 @@ class Bench:
         shutil.copy(self.recording, copy)
         try:
             recorded = recordings.read(copy)
-            config = recordings.config_of(recorded)
-            frames, same = recordings.replayed_exactly(recorded, Core(config, config.course))
+            frames, same = recordings.replayed_exactly(recorded, Core(recordings.config_of(recorded)))
         except ValueError as error:
             return {"ok_recording": False, "why": str(error)}
         heard = [json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines() if line.endswith("}")]

@@ -32,7 +32,7 @@ from steerkit.car import processes, protocol
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import load
+from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core
 from steerkit.car.learner import CarLearner
 from steerkit.car.state_machine import Mode, Order
@@ -93,7 +93,6 @@ def drive(
 ) -> dict[str, Any]:
     """One drive; its figures. safe: a learner's safety filter. seed: of the learner's nets and the human's speed."""
     config = load("dbw-kit.toml")
-    path = config.course
     socket, place, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
     simulated, channel = processes.start_simulated("dbw-kit.toml", time_scale=scale, log=str(log), seed=seed)
     with (folder / "server.log").open("w", encoding="utf-8") as text:
@@ -126,10 +125,10 @@ def drive(
             try:
                 if controller == "learn":
                     how: dict[str, Any] = {"safe": safe, "seed": seed}
-                    learn(config, path, link, folder / "run", 60.0 * minutes, clock, watch, more, **how)
+                    learn(config, link, folder / "run", 60.0 * minutes, clock, watch, more, **how)
                 else:
                     block = loops.controller_named(controller, config)
-                    loops.drive(config, path, link, block, duration=60.0 * minutes, clock=clock, watch=watch)
+                    loops.drive(config, link, block, duration=60.0 * minutes, clock=clock, watch=watch)
             except CarLost as error:  # a machine that stands still for a second
                 lost = str(error)
             over.set()
@@ -144,11 +143,11 @@ def drive(
         server.wait(10.0)
         simulated.terminate()
     recorded = recordings.read(place)
-    frames, same = recordings.replayed_exactly(recorded, Core(config, path))
+    frames, same = recordings.replayed_exactly(recorded, Core(config))
     asked = same_asked = 0
     for drive in replays.drives(recorded):
         asked += len(drive.requests)
-        same_asked += replays.replayed_requests(drive, config, path)
+        same_asked += replays.replayed_requests(drive, config)
     heard = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
     times = [h["t"] for h in heard if h.get("enable") == 1]
     return {
@@ -232,8 +231,7 @@ def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
 
 
 def learn(
-    config: Any,
-    path: Any,
+    config: CarConfig,
     link: CarClient,
     place: Path,
     seconds: float,
@@ -250,7 +248,7 @@ def learn(
     failures = 0
     corrected: deque[bool] = deque(maxlen=round(60.0 / DT))
     how = replace(DEFAULT, safe=safe)
-    with CarLearner(how, place, config, path, link, seed=seed) as learner:
+    with CarLearner(how, place, config, link, seed=seed) as learner:
 
         def count(run: realtime.Run) -> bool:
             nonlocal best, since, failures
@@ -273,7 +271,7 @@ def learn(
             "failures": learner.learner_state.counts.failures,
             "by_learner_m": learner.learner_state.counts.driven,
             "longest_without_failure_m": best,
-            "rounds_without_failure": best / path.length,
+            "rounds_without_failure": best / config.course.length,
             "trainer_faults": list(learner.trainer.faults),
             "filter_faults": dict(learner.filter_faults),
             "interventions_pct": 100.0 * sum(corrected) / max(1, len(corrected)),

@@ -146,7 +146,7 @@ def drive_of(world: ProductionWorld, controller: str) -> Drive:
         block = make_recovery(AUTO, loops.design_model_of(world.config), alone=True)
     else:
         block = loops.controller_named(controller, world.config).block
-    follow = Follow.of(loops.car_loop(world.config, world.path, world, block), world)
+    follow = Follow.of(loops.car_loop(world.config, world, block), world)
 
     def each(run: realtime.Run) -> None:
         follow.begin(run)
@@ -244,9 +244,9 @@ def altered(piece: tuple[str, int, int]) -> dict[str, Any]:
 
 def _hostile(name: str, frames: int, rng: np.random.Generator) -> dict[str, Any]:
     """What leaves the port while the gate is asked for anything, on a straight road."""
-    config = config_of(name)
+    config = replace(config_of(name), course=straight(20000.0))
     judge = SafetyJudge(platform(name))
-    car = PortedCar(config, straight(20000.0), judge=judge, s=10.0)
+    car = PortedCar(config, judge=judge, s=10.0)
     t, last, wish, due, sent = 0.0, math.nan, 0.0, 1.5, 0
     while sent < frames and t < 600.0:
         t += STEP
@@ -299,7 +299,7 @@ def learned(piece: tuple[str, int, float, tuple[float, float] | None]) -> dict[s
     given: dict[str, Any] = {"seed": seed, "clock": None, "trainer": Beside(world)}
     with (
         tempfile.TemporaryDirectory() as folder,
-        CarLearner(how, Path(folder) / "run", world.config, world.path, world, **given) as learner,
+        CarLearner(how, Path(folder) / "run", world.config, world, **given) as learner,
     ):
         learner.remark()
         drive = Drive(world, learner.follow.resting, learner.step)
@@ -368,7 +368,7 @@ def attacked(
     car = replace(config.vehicle, steer_ratio=ratio * config.vehicle.steer_ratio)
     world: Any = ProductionWorld(config, seed=1, vehicle=car, **_between(speeds))
     policy = Turncoat(kind=kind)
-    loop = loops.car_loop(config, world.path, world, policy, safe=True, clock=None)
+    loop = loops.car_loop(config, world, policy, safe=True, clock=None)
     follow = Follow.of(loop, world)
 
     def each(run: realtime.Run) -> None:

@@ -20,7 +20,6 @@ from steerkit.car.protocol import ESTIMATES, Remark
 from steerkit.car.state_machine import Mode
 from steerkit.diagram import realtime
 from steerkit.estimators.estimate import Estimated
-from steerkit.paths.path import Path
 from steerkit.scenario.catalogue import CONTROLLERS
 from steerkit.task import DT
 from steerkit.vehicles import vehicle_text
@@ -47,7 +46,6 @@ class Guided:
     """
 
     config: CarConfig
-    path: Path
     link: CarClient
     base: str = "stanley"
     """The controller that keeps the car on its course."""
@@ -92,7 +90,7 @@ class Guided:
         return False
 
     def _loop(self, controller: loops.Controller) -> Any:
-        return loops.car_loop(self.config, self.path, self.link, controller.block)
+        return loops.car_loop(self.config, self.link, controller.block)
 
     def _announce(self, controller: loops.Controller) -> None:
         self.link.note(Remark(controller.steers.text()))
@@ -256,9 +254,7 @@ def calibrate(options: sessions.Options, out: FilePath, *, base: str, minutes: f
                 f"{here.socket}: no vehicle file: the car server there was not ours; end it, or {hint}"
             )
         here.link.wait(timeout=10.0)
-        guided = Guided(
-            config=here.config, path=here.path, link=here.link, base=base, minutes=minutes, say=not here.live
-        )
+        guided = Guided(config=here.config, link=here.link, base=base, minutes=minutes, say=not here.live)
         run = sessions.guided(here, f"calibration, {base}", guided, "guide")
     figures = sessions.finished(here, run)
     return figures | from_recording(FilePath(here.recording), out, say=not options.quiet)

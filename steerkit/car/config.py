@@ -662,13 +662,13 @@ _KINDS = {
 }
 
 
-def loaded(config: str, channel: str = "") -> tuple[CarConfig, Path]:
-    """A configuration, on another bus if `channel` says so, and its course; `BUS+HOST:PORT` for a simulated port."""
+def loaded(config: str, channel: str = "") -> CarConfig:
+    """A configuration, on another bus if `channel` says so; `BUS+HOST:PORT` for a simulated port."""
     bus, plus, line = channel.partition("+")
     loaded_config = load(config, bus=bus_of(bus))
     if plus:
         loaded_config = replace(loaded_config, line={"line": "socket", "channel": line})
-    return loaded_config, loaded_config.course
+    return loaded_config
 
 
 def bus_of(channel: str) -> dict[str, Any] | None:

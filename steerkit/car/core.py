@@ -11,7 +11,6 @@ from steerkit.car.gate import gate
 from steerkit.car.senses import EPS, Senses
 from steerkit.car.state_machine import Facts, Machine, Mode, Order
 from steerkit.estimators.steering_sign import CLEAR, DOUBTED
-from steerkit.paths.path import Path
 
 RESEND = 0.02
 """Period at which the last request is gated and sent again [s]."""
@@ -104,16 +103,16 @@ _NOTED = {protocol.Estimates: "estimates", protocol.Adapted: "adapted", protocol
 class Core:
     """All decisions of the car server. `handle` one event after the other; call it with a `Tick` at `wake` [s].
 
-    config: the car. path: where it drives; the core tracks e by itself, at the front axle.
+    config: the car and its course; the core tracks e by itself, at the front axle.
     """
 
-    def __init__(self, config: CarConfig, path: Path):
+    def __init__(self, config: CarConfig):
         self.config = config
         self.machine = Machine()
         self.wake = 0.0
         self.t = -math.inf
-        self.senses = Senses(config, path)
-        self._course = protocol.digest(path)
+        self.senses = Senses(config)
+        self._course = protocol.digest(config.course)
         self._late: deque[tuple[float, float]] = deque(maxlen=1000)
         self._links: dict[int, bool | None] = {}  # is it the controller? None: has not said yet
         self._names: dict[int, str] = {}

@@ -37,7 +37,6 @@ from steerkit.learning.nfq.iterate import NOTHING_LEARNED, Learned
 from steerkit.learning.rundir import held, is_free
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import Trainer
-from steerkit.paths.path import Path
 from steerkit.scenario.assembly import with_controller
 from steerkit.scenario.catalogue import AUTO
 
@@ -47,8 +46,8 @@ RUN = "car"
 class CarLearner(contextlib.ExitStack):
     """A learning run on a real car, behind `link`: `run` it, in a `with`.
 
-    setting: how. place: run directory; a run there is continued with all its transitions and its newest net. config,
-    path: the car and its course. seed: of the nets. recovery: the name of the recovery controller. clock: see
+    setting: how. place: run directory; a run there is continued with all its transitions and its newest net. config:
+    the car and its course. seed: of the nets. recovery: the name of the recovery controller. clock: see
     `steerkit.car.loop.car_loop`. trainer: what trains the nets (default: a process of its own).
 
     While the car is ENGAGED, every sample is recorded, and whether the policy steered. When the recovery controller has
@@ -63,7 +62,6 @@ class CarLearner(contextlib.ExitStack):
         setting: Setting,
         place: FilePath,
         config: CarConfig,
-        path: Path,
         link: CarClient,
         *,
         seed: int = 0,
@@ -107,7 +105,7 @@ class CarLearner(contextlib.ExitStack):
             self._element, self._believed, self._variant = setting.element(design_model.vehicle), design_model.delay, ""
             how: dict[str, Any] = {"recovery": self.recovery, "safe": setting.safe, "clock": clock}
             resting = replace(policy, ready_from=math.inf)
-            self._idle = car_loop(config, path, self.link, resting, doe=self._element, **how)
+            self._idle = car_loop(config, self.link, resting, doe=self._element, **how)
             self.filter_faults: Counter[str] = Counter()
             """What went wrong in the safety filter, and how often."""
             self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy))

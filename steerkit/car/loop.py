@@ -31,7 +31,6 @@ from steerkit.diagram.realtime import Run
 from steerkit.doe import Integrator, OutputElement
 from steerkit.learning import rundir
 from steerkit.learning.settings import Setting
-from steerkit.paths.path import Path
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.proving.manoeuvre import Conditions, Input, Manoeuvre
 from steerkit.scenario import catalogue
@@ -360,7 +359,6 @@ def setting_of(place: FilePath) -> Setting:
 
 def car_loop(
     config: CarConfig,
-    path: Path,
     link: Any,
     controller: Block,
     *,
@@ -382,7 +380,7 @@ def car_loop(
     element = replace(element, limit=min(element.limit, design_model.vehicle.delta_sw_max))
     return steering_loop(
         car=RealCar(link=link),
-        path=path,
+        path=config.course,
         driver=ConstantSpeed(speed=0.0),  # the human in the car keeps the speed; nobody reads this
         controller=controller,
         doe=element if learned else None,
@@ -410,7 +408,6 @@ def safety(config: CarConfig, clock: Callable[[], float] | None = None) -> FailS
 
 def drive(
     config: CarConfig,
-    path: Path,
     link: CarClient,
     controller: Controller,
     *,
@@ -425,7 +422,7 @@ def drive(
     car server ends.
     """
     link.wait(timeout=10.0)
-    loop = car_loop(config, path, link, controller.block, doe=controller.element, recovery=recovery)
+    loop = car_loop(config, link, controller.block, doe=controller.element, recovery=recovery)
     follow = Follow.of(loop, link)
 
     def step(run: realtime.Run) -> bool:

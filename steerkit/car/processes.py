@@ -173,16 +173,16 @@ def server(
     Raises ValueError for a configuration that wants a recording where none is made, and for what `check_pace` refuses.
     """
     logging.basicConfig(format="%(asctime)s %(name)s %(message)s", level=logging.INFO, stream=sys.stdout)
-    car, path = loaded(config, channel)
+    car = loaded(config, channel)
     check_pace(time_scale, car.bus)
     if car.keep_recording and not recording:
         raise ValueError(f"{config}: keep_recording = true, but nothing is recorded; give --recording FILE.mcap")
-    recorder = Recording(recording, described(car, path, time_scale)) if recording else None
+    recorder = Recording(recording, described(car, time_scale)) if recording else None
     with contextlib.closing(recorder) if recorder else contextlib.nullcontext():
         if realtime:
             logging.info(preferred(threads=True))  # the bus's thread too, but not the recording's
         clock = Clock(scale=time_scale)
-        CarServer(car, path, socket or default_socket(), recording=recorder, clock=clock, linger=linger).run()
+        CarServer(car, socket or default_socket(), recording=recorder, clock=clock, linger=linger).run()
     return 1 if recorder and recorder.failed else 0
 
 
@@ -201,7 +201,7 @@ def simulate(
     ratio: the true steering ratio over that of the data sheet. car: what else `SimulatedCar` takes. parent: number of
     the process with which it ends; 0: with none. Raises ValueError for a channel of slcan and as `server` does.
     """
-    as_told, path = loaded(config, "-")
+    as_told = loaded(config, "-")
     arguments = bus_of(channel)
     if arguments and arguments["interface"] == "slcan":
         raise ValueError(
@@ -213,7 +213,7 @@ def simulate(
     port = BusPort(arguments) if arguments else SlcanPort()
     true = replace(as_told.vehicle, steer_ratio=ratio * as_told.vehicle.steer_ratio)
     kind = ProductionCar if as_told.port else SimulatedCar
-    simulated = kind(as_told, path, vehicle=true, t0=clock.now(), **car)
+    simulated = kind(as_told, vehicle=true, t0=clock.now(), **car)
     with contextlib.ExitStack() as stack:
         buses = stack.enter_context(SocketServer()) if as_told.port else None
         print(f"channel {port.channel}{f'+{buses.channel}' if buses else ''}", flush=True)

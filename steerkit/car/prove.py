@@ -102,7 +102,7 @@ def most(manoeuvre: Manoeuvre, config: CarConfig, v: float) -> dict[str, float]:
     return {name: float(value) for name, value in found.items()}
 
 
-def check(manoeuvre: Manoeuvre, config: CarConfig, path: Path, base: str = "stanley") -> None:
+def check(manoeuvre: Manoeuvre, config: CarConfig, base: str = "stanley") -> None:
     """Raise ValueError, naming all that does not fit and what would, for what cannot be driven with this car."""
     where = f"prove {manoeuvre.name}"
     known(base, CONTROLLERS, f"{where}: controller")
@@ -120,7 +120,7 @@ def check(manoeuvre: Manoeuvre, config: CarConfig, path: Path, base: str = "stan
         if tight:
             wrong.append(f"a_y = {asked:.3g} m/s^2, at {at:g} m/s its limits allow: {tight}: {hint}")
         needed = at * (WARNING + SPARE + manoeuvre.seconds)
-        longest = float(straight(path, manoeuvre.conditions.r_max / at).max())
+        longest = float(straight(config.course, manoeuvre.conditions.r_max / at).max())
         if needed > longest:
             slower = f"--speed {longest / needed * at:.2g}, or " if longest > 0.0 else ""
             wrong.append(
@@ -138,7 +138,6 @@ class Proving:
     """
 
     config: CarConfig
-    path: Path
     link: CarClient
     manoeuvre: Manoeuvre
     base: str = "stanley"
@@ -157,13 +156,13 @@ class Proving:
     follow: Follow = field(init=False)
 
     def __post_init__(self) -> None:
-        check(self.manoeuvre, self.config, self.path, self.base)
+        check(self.manoeuvre, self.config, self.base)
         self._controller = loops.controller_named(self.base, self.config)
         self._recent: deque[Snapshot] = deque(maxlen=round(self.manoeuvre.conditions.settle / DT))
         self._consent = self._warned = self._ended = self._ordered = -math.inf
         self._told = self._aborted = ""
         m, self._progress = self.manoeuvre, 0.0
-        self._free = straight(self.path, m.conditions.r_max / m.conditions.v)
+        self._free = straight(self.config.course, m.conditions.r_max / m.conditions.v)
         self._seconds = math.nan if on_course(m) else m.seconds
         self._sides = ("course",) if on_course(m) else m.sides
         self._loops = {side: self._loop(side) for side in (*self._sides, "")}  # before a sample waits for one
@@ -172,7 +171,7 @@ class Proving:
 
     def _loop(self, side: str) -> Any:
         block = loops.with_run(self._controller.block, json.dumps(self._run(0, side)), self.config)
-        return loops.car_loop(self.config, self.path, self.link, block)
+        return loops.car_loop(self.config, self.link, block)
 
     @property
     def side(self) -> str:
@@ -272,7 +271,7 @@ class Proving:
         cause = next(self._broken(s), "")
         if on_course(self.manoeuvre):
             gone = live.sample["path.progress"] - self._progress
-            over = s.t - run["begin"] >= 60.0 * self.minutes if self.minutes else gone >= self.path.length
+            over = s.t - run["begin"] >= 60.0 * self.minutes if self.minutes else gone >= self.config.course.length
             if "end of the course" in cause:
                 over, cause = True, ""
         else:
@@ -402,15 +401,15 @@ def drive(
     require(options.simulated or not yes, "prove", alone)
     require(minutes >= 0.0, "prove", f"minutes = {minutes:g}, expected 0 or more")
     manoeuvre = replace(manoeuvre, repeats=repeats) if repeats is not None else manoeuvre
-    config, path = loaded(options.config, "-" if options.simulated else options.channel)
-    check(manoeuvre, config, path, base)
+    config = loaded(options.config, "-" if options.simulated else options.channel)
+    check(manoeuvre, config, base)
     v, off = manoeuvre.conditions.v, 0.25 * manoeuvre.conditions.v_tolerance
     simulate = {"v_min": v - off, "v_max": v + off, **options.simulate} if options.simulated else {}
     with sessions.session(replace(options, simulate=simulate)) as here:
         require(here.recording, f"{here.socket}", "the car server there was not ours; end it first")
         here.link.wait(timeout=10.0)
         how: dict[str, Any] = {"base": base, "minutes": minutes, "yes": yes, "say": not here.live}
-        proving = Proving(config=here.config, path=here.path, link=here.link, manoeuvre=manoeuvre, **how)
+        proving = Proving(config=here.config, link=here.link, manoeuvre=manoeuvre, **how)
         run = sessions.guided(here, f"{manoeuvre.name}, {base}", proving, "prove", {KEY: proving.consent})
     figures = sessions.finished(here, run)
     return figures | {"runs": runs_in(here.recording), "valid": proving.valid}

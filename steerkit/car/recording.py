@@ -30,7 +30,6 @@ from steerkit.car import protocol
 from steerkit.car.config import CarConfig, Reading
 from steerkit.car.core import Core, End, Event, Frame, Link, Note, Output, Packet, RecordingFault, Send, Tick
 from steerkit.car.state_machine import Mode
-from steerkit.paths.path import Path
 
 EVENTS: dict[str, type[Event]] = {
     "/can/rx": Frame,
@@ -253,23 +252,23 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-def described(config: CarConfig, path: Path, time_scale: float = 1.0) -> dict[str, str]:
-    """The description of a recording made with that configuration and course: all that a replay needs.
+def described(config: CarConfig, time_scale: float = 1.0) -> dict[str, str]:
+    """The description of a recording made with that configuration: all that a replay needs.
 
     The nets of a learner are not in it: of each the recording has its file and SHA-256 (see `Remark`).
     """
     files = {f"file:{name}": text for name, text in config.texts.items()}
-    return files | {"time_scale": repr(time_scale), **_facts(config, path)}
+    return files | {"time_scale": repr(time_scale), **_facts(config)}
 
 
-def _facts(config: CarConfig, path: Path) -> dict[str, str]:
+def _facts(config: CarConfig) -> dict[str, str]:
     """What built-in names mean, to notice when they mean something else later."""
-    return {"course": protocol.digest(path), "vehicle": json.dumps(asdict(config.vehicle))}
+    return {"course": protocol.digest(config.course), "vehicle": json.dumps(asdict(config.vehicle))}
 
 
-def differences(recorded: "Recorded", config: CarConfig, path: Path) -> list[str]:
+def differences(recorded: "Recorded", config: CarConfig) -> list[str]:
     """What is different now from when the recording was made, so that its replay may be."""
-    now = _versions() | _facts(config, path)
+    now = _versions() | _facts(config)
     then = recorded.metadata
     changed = [name for name, text in now.items() if then.get(name, text) != text]
     texts = {"course": "the course of that name is another one", "vehicle": "the vehicle of that name is another one"}

@@ -26,7 +26,6 @@ from steerkit.car.state_machine import Mode
 from steerkit.controllers.fail_safe import LATE
 from steerkit.diagram import realtime
 from steerkit.diagram.loop import Loop
-from steerkit.paths.path import Path
 from steerkit.scenario.catalogue import CONTROLLERS
 
 
@@ -98,8 +97,8 @@ class Nets:
     too (`steerkit --code`), and which still is what drove.
     """
 
-    def __init__(self, config: CarConfig, path: Path, link: ReplayLink, run: str = "", *, named: bool = False):
-        self.config, self.path, self.link, self.run, self.named = config, path, link, run, named
+    def __init__(self, config: CarConfig, link: ReplayLink, run: str = "", *, named: bool = False):
+        self.config, self.link, self.run, self.named = config, link, run, named
         self.late = False
         """Is the safety filter late in this sample, as it was in the drive?"""
         self._seconds = 0.0
@@ -135,10 +134,10 @@ class Nets:
         with contextlib.nullcontext() if self.named else named_in("the recording", code, loaded=False):
             controller = self._controller(steers)
         how: dict[str, Any] = {"doe": controller.element, "recovery": steers.recovery, "safe": steers.safe}
-        return loops.car_loop(self.config, self.path, self.link, controller.block, **how, clock=self.clock)
+        return loops.car_loop(self.config, self.link, controller.block, **how, clock=self.clock)
 
 
-def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller: str = "", run: str = "") -> int:
+def replayed_requests(drive: Drive, config: CarConfig, *, controller: str = "", run: str = "") -> int:
     """How many of a drive's requests come out bit for bit the same when its controllers see the recorded snapshots.
 
     A solution that came too late in the drive comes in time here: its request, and a few after it, then differ. A
@@ -147,7 +146,7 @@ def replayed_requests(drive: Drive, config: CarConfig, path: Path, *, controller
     """
     begin = max(0, drive.first - 2)  # the last snapshot before that of the first request began the loop
     link = ReplayLink(drive.snapshots[begin:])
-    nets = Nets(config, path, link, run, named=bool(controller))
+    nets = Nets(config, link, run, named=bool(controller))
     remarks = [(0, Steers(name=controller))] if controller else [(n - begin, s) for n, s in drive.remarks]
     if not remarks:
         raise ValueError("the recording does not name who steered; say it with --controller")

@@ -14,7 +14,6 @@ from steerkit.car.motion import MotionCheck
 from steerkit.car.ports import FrameReader
 from steerkit.diagram.units import degrees_of
 from steerkit.estimators.steering_sign import SteeringSigns
-from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.vehicles.rollout import Rollout
 
@@ -78,10 +77,10 @@ def witness(config: CarConfig) -> MotionCheck:
 class Senses:
     """The last good value of each quantity [SI], kept by `frame`; a bad frame leaves it as it was, and is counted.
 
-    config: the car. path: where it drives; e and psi_e are tracked here, at the front axle, for the checks.
+    config: the car and its course; e and psi_e are tracked here, at the front axle, for the checks.
     """
 
-    def __init__(self, config: CarConfig, path: Path):
+    def __init__(self, config: CarConfig):
         self.config = config
         self._readers = {r.frame_id: r for r in config.readers}
         self._counter: dict[int, int | None] = dict.fromkeys(self._readers)
@@ -102,7 +101,7 @@ class Senses:
         self.enabled_since: float | None = None
         self.enabled_at = -math.inf  # the last report of it
         car = config.vehicle
-        self._tracker = PathTracker(path=path, reference=car.l_f)
+        self._tracker = PathTracker(path=config.course, reference=car.l_f)
         self._motion = witness(config)
         self.signs = SteeringSigns(Rollout.of(car))
         self._astray, self._asked = math.nan, -math.inf

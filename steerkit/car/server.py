@@ -23,7 +23,6 @@ from steerkit.car.ports import lost, open_bus, python_can
 from steerkit.car.production import port
 from steerkit.car.production.platforms import platform
 from steerkit.car.recording import Recording
-from steerkit.paths.path import Path
 
 _log = logging.getLogger("steerkit.car")
 MAX_CLIENTS = 16
@@ -39,7 +38,7 @@ MAX_GARBLED = 20
 class CarServer:
     """The program that owns a car's bus, while clients drive: `run()` ends when it is stopped.
 
-    config: the car. path: its course. socket_path: where clients find it. recording: the file to write; None for none.
+    config: the car and its course. socket_path: where clients find it. recording: the file to write; None for none.
     clock: time. linger [s]: how long it stays without any client.
     Raises OSError for a socket in use, or a bus that cannot be opened.
     """
@@ -47,7 +46,6 @@ class CarServer:
     def __init__(
         self,
         config: CarConfig,
-        path: Path,
         socket_path: str,
         *,
         recording: Recording | None = None,
@@ -56,7 +54,7 @@ class CarServer:
     ):
         self.config, self.recording, self.linger = config, recording, linger
         self.clock = clock or Clock()
-        self.core = Core(config, path)
+        self.core = Core(config)
         self.stopping, self.cause = False, "the car server was stopped"
         self._server = _listen(socket_path)
         self._socket_path = socket_path

@@ -54,7 +54,7 @@ class Session:
 
     def __init__(self, options: Options, socket: str, channel: str):
         self.options, self.socket, self.recording = options, socket, options.recording
-        self.config, self.path = loaded(options.config, channel)
+        self.config = loaded(options.config, channel)
         self.clock = Clock(scale=options.time_scale)
         self.ending = False
         self.signals: list[str] = []
@@ -97,7 +97,7 @@ class Session:
 def session(options: Options) -> Iterator[Session]:
     """A session: with the car server that is there, or else one of its own; both end in order."""
     if options.time_scale != 1.0 and not options.simulated:
-        check_pace(options.time_scale, loaded(options.config, options.channel)[0].bus)
+        check_pace(options.time_scale, loaded(options.config, options.channel).bus)
     if options.simulated and options.channel:
         raise ValueError("--simulated starts a car on a channel of its own; leave --channel out")
     known(options.recovery, RECOVERIES, "--recovery")
@@ -126,7 +126,7 @@ def session(options: Options) -> Iterator[Session]:
                 print(
                     f"the car server at {socket} is used as it runs, with its own configuration and recording{unused}"
                 )
-            here.link = stack.enter_context(CarClient(socket, course=digest(here.path)))
+            here.link = stack.enter_context(CarClient(socket, course=digest(here.config.course)))
             here.watched = Watched(here.config, here.link.note)
             if options.realtime:
                 print(preferred())
@@ -201,11 +201,10 @@ def _new_recording(recording: str) -> Iterator[tuple[FilePath, TextIO]]:
 
 def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
     """`steerkit drive --car`: drive with a controller for so long (0: until `q`); returns its figures."""
-    controller = loops.controller_named(name, loaded(options.config)[0])  # mistakes first, processes then
+    controller = loops.controller_named(name, loaded(options.config))  # mistakes first, processes then
     with session(options) as here, Panel(here, name):
         run = loops.drive(
             here.config,
-            here.path,
             here.link,
             controller,
             recovery=options.recovery,
@@ -232,7 +231,7 @@ def learn(options: Options, how: Setting, place: FilePath, *, minutes: float, se
     with session(options) as here:
         loops.check_allowed("element", how.doe, here.config)
         here.link.wait(timeout=10.0)
-        with CarLearner(how, place, here.config, here.path, here.link, seed=seed, recovery=options.recovery) as learner:
+        with CarLearner(how, place, here.config, here.link, seed=seed, recovery=options.recovery) as learner:
             with Panel(here, f"learning, {how.name}", learner.status):
                 run = learner.run(60.0 * minutes or float("inf"), clock=here.clock, watch=here.watch)
             print(learner.status())

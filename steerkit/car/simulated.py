@@ -12,7 +12,6 @@ from steerkit._support.files import read_toml
 from steerkit.car.config import CarConfig
 from steerkit.car.ports import FrameReader
 from steerkit.controllers.stanley import Stanley
-from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver
@@ -55,9 +54,9 @@ class Fault:
 class SimulatedCar:
     """Car, kit, sensors and human; `advance` it in time, `receive` what the bus brings.
 
-    config: the same as the car server's: the frames it reads are sent, the one it writes is understood. path: where the
-    human drives, by Stanley's law while the kit is off, at v_min to v_max [m/s], less in bends (a_y within bends
-    [m/s^2]). s [m], e [m]: where it starts. t0 [s]: when.
+    config: the same as the car server's: the frames it reads are sent, the one it writes is understood, and its
+    course is where the human drives, by Stanley's law while the kit is off, at v_min to v_max [m/s], less in bends (a_y
+    within bends [m/s^2]). s [m], e [m]: where it starts. t0 [s]: when.
 
     What controllers do not know: vehicle, the car that it is (default: the configuration's); lag and delay [s] from a
     command to the wheel, which the human's hands do not have; offset [rad], which the road wheels see and the wheel's
@@ -67,7 +66,6 @@ class SimulatedCar:
     def __init__(
         self,
         config: CarConfig,
-        path: Path,
         *,
         v_min: float = 4.0,
         v_max: float = 6.0,
@@ -82,6 +80,7 @@ class SimulatedCar:
         rate_zero: float = 0.0,
         bends: float = BENDS,
     ):
+        path = config.course
         self.config, self.readers, self.faults = config, config.readers, list[Fault]()
         self.driver = Stanley.of(config.vehicle)
         self.t, self.k = t0, 0

@@ -37,7 +37,8 @@ Socket = Annotated[str, typer.Option(help="Unix socket of the car server.")]
 @app.command()
 def check(config: Annotated[str, typer.Argument(help="TOML file, or a shipped one.")] = "dbw-kit.toml") -> None:
     """Check a configuration and print what would be read and written, and every limit."""
-    car, path = loaded(config)
+    car = loaded(config)
+    path = car.course
     unlearned, bend = witness(car), float(abs(path.samples.kappa).max())
     print("\n".join(car.summary()))
     print(f"path     {path.name}, {path.length:.0f} m, {'closed' if path.closed else 'open'}")
@@ -194,18 +195,17 @@ def replay(
     for v in recorded.of("/state"):
         print(f"  {v['t']:.3f} s  {v.get('from')} -> {v.get('to')}: {v.get('cause')}")
     config = recordings.config_of(recorded)
-    path = config.course
-    for difference in recordings.differences(recorded, config, path):
+    for difference in recordings.differences(recorded, config):
         print(f"not as it was then: {difference}")
     if any(gap.missing for gap in recorded.gaps):
         print("what follows missing messages may replay differently")
-    frames, same = recordings.replayed_exactly(recorded, Core(config, path))
+    frames, same = recordings.replayed_exactly(recorded, Core(config))
     print(f"server: {same} of {frames} frames the same")
     lacking = False
     for drive in replays.drives(recorded):
         asked, who = len(drive.requests), controller or drive.who
         try:
-            same = replays.replayed_requests(drive, config, path, controller=controller, run=run)
+            same = replays.replayed_requests(drive, config, controller=controller, run=run)
             print(f"{who}: {same} of {asked} requests the same")
         except ValueError as error:
             lacking = True

@@ -48,7 +48,7 @@ def courses() -> dict[str, Course]:
 
 
 @cache
-def configuration(name: str, vehicle: str = "", port: str = "") -> tuple[CarConfig, Any]:
+def configuration(name: str, vehicle: str = "", port: str = "") -> CarConfig:
     """The product's configuration for one of them, as a user would write it; vehicle: text of a vehicle file.
 
     port: the platform of opendbc through which the car is steered, which has the kit's limits besides its own."""
@@ -69,8 +69,7 @@ def configuration(name: str, vehicle: str = "", port: str = "") -> tuple[CarConf
             text = text.replace('"vw-passat"', '"calibrated.toml"')
             Path(folder, "calibrated.toml").write_text(vehicle)
         Path(folder, "car.toml").write_text(text)
-        config = load(Path(folder, "car.toml"))
-    return config, config.course
+        return load(Path(folder, "car.toml"))
 
 
 @cache
@@ -211,10 +210,10 @@ class Drive(Bench):
     """(t, true e, true a_y, does the kit steer?)"""
 
     def __post_init__(self) -> None:
-        self.config, path = configuration(self.attack.course, self.vehicle, self.port)
+        self.config = configuration(self.attack.course, self.vehicle, self.port)
         self.translator = Port(self.config) if self.port else None
         self.buses = CarFrames(platform(self.port)) if self.port else None
-        self.core = Core(self.config, path)
+        self.core = Core(self.config)
         self.dice = random.Random(self.seed)
         course = courses()[self.attack.course]
         self.course = course

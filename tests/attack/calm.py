@@ -110,8 +110,7 @@ class Playback(Bench):
     """A recorded lap as the car server would have seen it, with a controller that asks for what the person steered."""
 
     def __init__(self, name: str, seed: int, noise: float = 1.0):
-        config = configured(name)
-        self.core = Core(config, course(name))
+        self.core = Core(configured(name))
         self.rows, self.noise, self.dice = lap(name), noise, random.Random(seed)
         self.t, self.mode, self.command = 0.0, "OFF", math.nan
         self.modes: list[tuple[float, str, str]] = []

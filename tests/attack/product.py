@@ -24,7 +24,7 @@ CONTROLLERS = ("mpc", "lqr", "pure-pursuit", "nfq")
 @cache
 def made(name: str, course: str, vehicle: str) -> loops.Controller:
     """A controller for a course, made once. Solutions take as long as they take: no result depends on the machine."""
-    config, _ = configuration(course, vehicle)
+    config = configuration(course, vehicle)
     if name == "nfq":
         return loops.policy_in(POLICY, "integrator", config)
     controller = loops.controller_named(name, config)
@@ -73,8 +73,8 @@ class ProductClient:
         if self.follow is None:
             if not math.isfinite(answer.x + answer.psi + answer.v + answer.delta_sw):
                 return None  # as the product waits for a first pose and report
-            config, path = configuration(*self.car)
-            loop = loops.car_loop(config, path, self.line, self.controller.block, doe=self.controller.element)
+            config = configuration(*self.car)
+            loop = loops.car_loop(config, self.line, self.controller.block, doe=self.controller.element)
             self.follow = Follow.of(loop, self.line)
             resting = self.follow.resting
             self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=loop.dt))

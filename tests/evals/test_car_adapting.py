@@ -14,7 +14,7 @@ from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from steerkit.scenario.catalogue import make_controller
 from tests.evals.test_car_learning import learned
-from tests.support.car_world import World, setup
+from tests.support.car_world import CONFIG, World
 
 NAME = "stanley-adaptive"
 DELAY = 0.25
@@ -22,9 +22,8 @@ DELAY = 0.25
 
 
 def recorded_world(folder: Path, **how: Any) -> World:
-    config, path = setup()
-    controller = make_controller(NAME, loops.design_model_of(config))
-    recorder = recordings.Recording(folder / "drive.mcap", recordings.described(config, path))
+    controller = make_controller(NAME, loops.design_model_of(CONFIG))
+    recorder = recordings.Recording(folder / "drive.mcap", recordings.described(CONFIG))
     world = World(controller=controller, recorder=recorder, **how)
     world.note(Remark(Steers(name=NAME).text()))
     return world
@@ -71,12 +70,11 @@ def test_what_it_found_outlasts_an_override_and_a_lost_pose_and_the_drive_replay
     (drive,) = replays.drives(recording)
     notes = recording.of("/adapted")
     assert len(notes) > 13, "one a second"
-    config, path = setup()
-    assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 300
+    assert replays.replayed_requests(drive, CONFIG) == len(drive.requests) > 300
     basis, angle = drive.requests[-1]
     drive.requests[-1] = basis, angle + 1e-15
-    assert replays.replayed_requests(drive, config, path) == len(drive.requests) - 1
-    assert replays.replayed_requests(drive, config, path, controller="stanley") < len(drive.requests)
+    assert replays.replayed_requests(drive, CONFIG) == len(drive.requests) - 1
+    assert replays.replayed_requests(drive, CONFIG, controller="stanley") < len(drive.requests)
 
 
 def test_what_the_recovery_controller_of_a_learner_is_told_is_recorded_too_and_replays(
@@ -87,5 +85,4 @@ def test_what_the_recovery_controller_of_a_learner_is_told_is_recorded_too_and_r
     (drive,) = [d for d in replays.drives(recorded) if d.remarks]
     assert {s.recovery for _, s in drive.remarks} == {"adaptive"}
     assert len(recorded.of("/adapted")) >= 3
-    config, path = setup()
-    assert replays.replayed_requests(drive, config, path) == len(drive.requests)
+    assert replays.replayed_requests(drive, CONFIG) == len(drive.requests)

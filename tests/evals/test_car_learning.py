@@ -24,7 +24,7 @@ from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import Setting, changed, setting
 from steerkit.learning.trainer import Job, Result, SimulatedTrainer
-from tests.support.car_world import World, setup
+from tests.support.car_world import CONFIG, World
 from tests.support.stores import same
 
 TINY = replace(
@@ -52,7 +52,7 @@ def test_whatever_an_untrained_net_does_it_is_caught_well_before_the_hard_limit(
 
 
 def test_called_at_half_a_metre_the_recovery_controller_would_come_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = loops.foresight(setup()[0])
+    seen = loops.foresight(CONFIG)
     monkeypatch.setattr(loops, "foresight", lambda config: replace(seen, weight=1e-9))
     world = untrained(setting("default"), 6.0)
     world.worst_e(3.0)
@@ -97,15 +97,14 @@ class Beside(SimulatedTrainer):
 
 def learner_of(world: World, place: Path, how: Setting = TINY, **options: Any) -> on_car.CarLearner:
     link: Any = world
-    return on_car.CarLearner(how, place, world.config, world.path, link, **options)
+    return on_car.CarLearner(how, place, world.config, link, **options)
 
 
 def learned(
     folder: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, how: Setting = TINY, **options: Any
 ) -> on_car.CarLearner:
     """A learning run, recorded in `folder`/drive.mcap."""
-    config, _ = setup()
-    metadata = {f"file:{name}": text for name, text in config.texts.items()}
+    metadata = {f"file:{name}": text for name, text in CONFIG.texts.items()}
     recorder = recordings.Recording(folder / "drive.mcap", metadata)
     world = World(s=20.0, recorder=recorder)
     monkeypatch.setattr(on_car, "Trainer", lambda learned: Beside(world, learned))
@@ -135,21 +134,20 @@ def test_a_learning_run_replays_bit_for_bit_with_the_nets_taken_over_on_the_way(
     drive = drives[-1]
     assert {Path(s.name).name for _, s in drive.remarks} == set(nets)
     assert {s.trusted for _, s in drive.remarks} == {True, False}
-    config, path = setup()
-    assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 120
+    assert replays.replayed_requests(drive, CONFIG) == len(drive.requests) > 120
     first = drive.remarks[0][1]  # with the first net all along it comes out differently: the replay depends on the nets
     same = [(n, replace(s, name=first.name, sha256=first.sha256)) for n, s in drive.remarks]
-    assert replays.replayed_requests(replace(drive, remarks=same), config, path) < len(drive.requests)
+    assert replays.replayed_requests(replace(drive, remarks=same), CONFIG) < len(drive.requests)
     # the directory has moved
     (tmp_path / "run").rename(tmp_path / "moved")
     with pytest.raises(ValueError, match=r"net-0000.npz: the net that drove is gone; .* --run"):
-        replays.replayed_requests(drive, config, path)
+        replays.replayed_requests(drive, CONFIG)
     moved = str(tmp_path / "moved")
-    assert replays.replayed_requests(drive, config, path, run=moved) == len(drive.requests)
+    assert replays.replayed_requests(drive, CONFIG, run=moved) == len(drive.requests)
     # and somebody has changed a net
     (tmp_path / "moved" / "nets" / nets[1]).write_bytes((tmp_path / "moved" / "nets" / nets[0]).read_bytes())
     with pytest.raises(ValueError, match="is not the net that drove: its SHA-256 differs"):
-        replays.replayed_requests(drive, config, path, run=moved)
+        replays.replayed_requests(drive, CONFIG, run=moved)
 
 
 def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,7 +164,7 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
     with pytest.raises(ValueError, match="holds no run of a car"):
         learner_of(world, tmp_path)
     assert not (tmp_path / ".lock").exists()  # nothing is left in a folder of something else
-    named = loops.controller_named(str(tmp_path / "run"), setup()[0])
+    named = loops.controller_named(str(tmp_path / "run"), CONFIG)
     assert named.steers.doe == "integrator"
     assert Path(named.steers.name).name == again.net_file.name
 

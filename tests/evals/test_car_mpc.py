@@ -15,7 +15,7 @@ from steerkit.car.loop import Steers
 from steerkit.car.protocol import Remark
 from steerkit.car.state_machine import Mode
 from steerkit.controllers.mpc.block import FALLBACK, LATE, PLAN, SOLVED
-from tests.support.car_world import World, setup
+from tests.support.car_world import CONFIG, World
 
 
 def engaged(block: Any, recorder: recordings.Recording | None = None) -> World:
@@ -37,12 +37,11 @@ def watched(world: World, seconds: float) -> dict[str, np.ndarray]:
 
 
 def block_of(**changes: Any) -> Any:
-    return replace(loops.controller_named("mpc", setup()[0]).block, **changes)  # type: ignore[type-var]
+    return replace(loops.controller_named("mpc", CONFIG).block, **changes)  # type: ignore[type-var]
 
 
 def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path) -> None:
-    config, path = setup()
-    recorder = recordings.Recording(tmp_path / "t.mcap", {f"file:{name}": text for name, text in config.texts.items()})
+    recorder = recordings.Recording(tmp_path / "t.mcap", {f"file:{name}": text for name, text in CONFIG.texts.items()})
     world = engaged(block_of(clock=None, budget=None), recorder)
     seen = watched(world, 4.5)
     recorder.close()
@@ -52,7 +51,7 @@ def test_it_drives_bends_through_the_gate_and_replays_bit_for_bit(tmp_path: Path
     assert max(abs(s.delta_sw) for s in world.sent) > 0.5
     world.check_bus()
     (drive,) = [d for d in replays.drives(recordings.read(tmp_path / "t.mcap")) if d.requests]
-    assert replays.replayed_requests(drive, config, path) == len(drive.requests) > 95
+    assert replays.replayed_requests(drive, CONFIG) == len(drive.requests) > 95
 
 
 def test_a_late_solution_falls_back_to_the_plan_then_to_stanley_and_comes_back() -> None:
@@ -72,7 +71,7 @@ def test_a_late_solution_falls_back_to_the_plan_then_to_stanley_and_comes_back()
 
 @pytest.mark.parametrize("name", ["stanley-delay", "pure-pursuit", "lqr-adaptive", "nonlinear-mpc"])
 def test_a_controller_of_each_kind_drives_a_bend_on_the_car(name: str) -> None:
-    block: Any = loops.controller_named(name, setup()[0]).block
+    block: Any = loops.controller_named(name, CONFIG).block
     if hasattr(type(block), "budget"):
         block = replace(block, clock=None, budget=None)
     world = engaged(block)

@@ -57,7 +57,7 @@ def bench(tmp_path: Path, forked: None) -> Iterator[dict[str, Any]]:
 
 def drive(socket: str, *, seconds: float = 20.0, most: int = 10**9, scale: float = 1.0) -> int:
     """Engage once, and drive with Stanley's controller, for so many engaged steps at most; returns how many."""
-    config, path = configured.loaded(CONFIG)
+    config = configured.loaded(CONFIG)
     modes: list[Mode] = []
     with (
         attended(socket),
@@ -75,7 +75,7 @@ def drive(socket: str, *, seconds: float = 20.0, most: int = 10**9, scale: float
             return modes.count(Mode.ENGAGED) > most
 
         controller, clock = loops.controller_named("stanley", config), Clock(scale=scale)
-        loops.drive(config, path, link, controller, duration=seconds, clock=clock, watch=watch)
+        loops.drive(config, link, controller, duration=seconds, clock=clock, watch=watch)
     return modes.count(Mode.ENGAGED)
 
 
@@ -92,11 +92,10 @@ def test_drive_record_replay_and_an_orderly_end(bench: dict[str, Any]) -> None:
     recorded = recordings.read(bench["record"])
     assert recorded.whole
     config = recordings.config_of(recorded)
-    path = config.course
-    frames, same = recordings.replayed_exactly(recorded, Core(config, path))
+    frames, same = recordings.replayed_exactly(recorded, Core(config))
     assert frames == same > 0
     (driven,) = replays.drives(recorded)
-    same_asked = replays.replayed_requests(driven, config, path)
+    same_asked = replays.replayed_requests(driven, config)
     assert len(driven.requests) > 20
     assert driven.who == "stanley"
     assert same_asked == len(driven.requests)
@@ -113,12 +112,11 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
     """
     bus = configured.bus_of("virtual:steerkit test")
     assert bus is not None
-    config, (_, path) = load(CONFIG, bus=bus), configured.loaded(CONFIG)
+    config = load(CONFIG, bus=bus)
     port, clock, socket = BusPort(bus), Clock(scale=0.2), str(tmp_path / "socket")
-    car = SimulatedCar(config, path, t0=clock.now())
-    server = CarServer(
-        config, path, socket, recording=recordings.Recording(tmp_path / "drive.mcap", {"a": "b"}), clock=clock
-    )
+    car = SimulatedCar(config, t0=clock.now())
+    recorder = recordings.Recording(tmp_path / "drive.mcap", {"a": "b"})
+    server = CarServer(config, socket, recording=recorder, clock=clock)
     engaged: list[int] = []
 
     def control() -> None:
@@ -139,7 +137,7 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
     assert engaged == [3]
     assert car.heard > 0.0
     recorded = recordings.read(tmp_path / "drive.mcap")
-    frames, same = recordings.replayed_exactly(recorded, Core(config, path))
+    frames, same = recordings.replayed_exactly(recorded, Core(config))
     assert frames == same > 10
 
 

@@ -24,7 +24,7 @@ from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import steering_loop
 from steerkit.task import STOP
 from tests.evals.test_car_learning import TINY, learned
-from tests.support.car_world import World, setup
+from tests.support.car_world import CONFIG, World
 
 SAFE = replace(TINY, name="safe", safe=True)
 
@@ -48,7 +48,7 @@ class Filtered(World):
     def build(self, controller: Block, doe: Any) -> Loop:
         return steering_loop(
             car=RealCar(link=self),
-            path=self.path,
+            path=self.config.course,
             driver=ConstantSpeed(speed=0.0),
             controller=controller,
             safety=loops.safety(self.config).block,
@@ -81,7 +81,7 @@ class LeftThenStanley(Wrapper):
 @pytest.mark.parametrize("v", [7.0, 9.0])
 def test_what_is_rolled_out_is_no_less_than_what_comes_behind_the_gate(v: float) -> None:
     """Half way through the lock four samples of it are left. One that does not know the gate promises half of it."""
-    world = World(s=20.0, v=(v, v), controller=LeftThenStanley(block=Stanley.of(setup()[0].vehicle)))
+    world = World(s=20.0, v=(v, v), controller=LeftThenStanley(block=Stanley.of(CONFIG.vehicle)))
     world.bring_to(Mode.ENGAGED)
     knows: Any = loops.safety(world.config).block
     sure: dict[str, Any] = dict(e_doubt=0.0, psi_doubt=0.0, yaw_doubt=0.0, ratio_doubt=0.0, delay_doubt=0.0)
@@ -90,7 +90,7 @@ def test_what_is_rolled_out_is_no_less_than_what_comes_behind_the_gate(v: float)
         world.until(world.t + 0.05)
         run, worst = world.run, max(worst, world.core.senses.e)
         if abs(run.k * 0.05 - 0.85) < 1e-6:
-            s, at = run.sample, world.path.kappa
+            s, at = run.sample, world.config.course.kappa
             for block in blocks:
                 preview = tuple(float(at(s["path.s"] + 0.1 * v * n)) for n in range(block.preview_points))
                 seen = {"e": s["path.e"], "psi_e": s["path.psi_e"], "preview": preview, "v": s["car.v"]}
@@ -144,11 +144,10 @@ def test_a_filtered_learner_stays_on_the_path_and_replays_bit_for_bit_correction
     lost = [n for n, steers in drive.remarks if not steers.trusted]
     assert any(0 <= n - fault <= 2 for n in lost for fault in faults), "one cost the policy the wheel"
     assert learner.learner_state.counts.failures == len(lost) >= 2
-    config, path = setup()
-    assert replays.replayed_requests(drive, config, path) == len(drive.requests)
+    assert replays.replayed_requests(drive, CONFIG) == len(drive.requests)
     basis, asked = drive.requests[20]
     drive.requests[20] = basis, asked + 1e-15
-    assert replays.replayed_requests(drive, config, path) == len(drive.requests) - 1
+    assert replays.replayed_requests(drive, CONFIG) == len(drive.requests) - 1
 
 
 def test_a_dead_time_that_the_filter_finds_goes_into_the_policy_and_the_recording(
@@ -164,18 +163,17 @@ def test_a_dead_time_that_the_filter_finds_goes_into_the_policy_and_the_recordin
     monkeypatch.setattr(learner_state, "ENOUGH", 40)
     how = replace(SAFE, fit=replace(SAFE.fit, imagined=20, dead_time=0.6))
     learner = learned(tmp_path, monkeypatch, 3.0, how)
-    samples = round((0.3 + loops.design_model_of(setup()[0]).delay) / 0.05)
+    samples = round((0.3 + loops.design_model_of(CONFIG).delay) / 0.05)
     (file,) = [file for file in (tmp_path / "run" / "nets").iterdir() if "dead" in file.name]
     assert file.stem.endswith(f"-dead{samples}")
     recorded = recordings.read(tmp_path / "drive.mcap")
     (drive,) = [d for d in replays.drives(recorded) if d.remarks]
     assert str(file) in {s.name for _, s in drive.remarks}
     assert learner.learner_state.counts.late == 0.3
-    config, path = setup()
-    assert replays.replayed_requests(drive, config, path) == len(drive.requests)
+    assert replays.replayed_requests(drive, CONFIG) == len(drive.requests)
 
 
 def test_only_policies_get_it() -> None:
     world = World(s=20.0)
     with pytest.raises(ValueError, match="expected a policy"):
-        loops.car_loop(world.config, world.path, world, Away(), safe=True)
+        loops.car_loop(world.config, world, Away(), safe=True)

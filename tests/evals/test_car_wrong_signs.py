@@ -1,6 +1,7 @@
 """A car whose motor, wheel sensor or gyro has the wrong sign from the start: named, before the true car is 1 m off."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -8,7 +9,7 @@ from steerkit.car import loop as loops
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from steerkit.paths.courses import course
-from tests.support.car_world import World, setup
+from tests.support.car_world import CONFIG, World
 
 NAMED = {
     "motor_sign": "check the sign of the command",
@@ -30,9 +31,9 @@ class Swapped(World):
 
 def swapped(kind: str, name: str, s: float, v: float, controller: str = "stanley", **untold: float) -> Swapped:
     """Half a second by hand, then engaged; until it let go or 6 s have passed."""
-    config, _ = setup()
+    config = replace(CONFIG, course=course(name))
     block = loops.controller_named(controller, config, in_time=True).block
-    world = Swapped(s=s, v=(v, v + 0.3), path=course(name), controller=block, **untold)
+    world = Swapped(s=s, v=(v, v + 0.3), config=config, controller=block, **untold)
     if kind:
         world.car.faults.append(Fault(kind=kind, target="report", start=0.0))
     world.order(Order.ARM)

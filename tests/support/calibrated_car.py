@@ -15,12 +15,11 @@ from steerkit.car.state_machine import Order
 from steerkit.diagram import realtime
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
-from tests.support.car_world import World, setup
+from tests.support.car_world import CONFIG as SHIPPED
+from tests.support.car_world import World
 
-_TEXTS = setup()[0].texts
-_TEXT = _TEXTS["config.toml"].replace('name = "paper"', 'name = "calibration"')
-CONFIG = replace(setup()[0], course={"name": "calibration"}, texts={**_TEXTS, "config.toml": _TEXT})
-PATH = course("calibration")
+_TEXT = SHIPPED.texts["config.toml"].replace('name = "paper"', 'name = "calibration"')
+CONFIG = replace(SHIPPED, course=course("calibration"), texts={**SHIPPED.texts, "config.toml": _TEXT})
 RATIO, DELAY, LAG, OFFSET, RATE_ZERO = 1.1, 0.2, 0.15, radians_of(1.5), 0.003
 UNTOLD: dict[str, Any] = {
     "vehicle": replace(CONFIG.vehicle, steer_ratio=RATIO * CONFIG.vehicle.steer_ratio),
@@ -39,12 +38,12 @@ class CalibratedWorld(World):
         self.seen: list[Snapshot] = []
         self.said: list[str] = []
         """What the operator was told, a text a sample."""
-        super().__init__(s=0.0, v=v, config=config, path=PATH, **(UNTOLD | more))
+        super().__init__(s=0.0, v=v, config=config, **(UNTOLD | more))
         self.watched = Watched(config, self.packet)
         self.due = math.inf  # the human drives alone
         self.until(5.0)
         link: Any = self
-        self.guided = Guided(config=config, path=PATH, link=link, minutes=minutes)
+        self.guided = Guided(config=config, link=link, minutes=minutes)
         resting = self.guided.follow.resting
         self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=resting.dt))
         self.over = False
@@ -86,7 +85,7 @@ def made(folder: Path, **more: Any) -> Made:
     """A guided drive from its beginning to its end, recorded."""
     file = folder / "drive.mcap"
     config = more.get("config", CONFIG)
-    record = recordings.Recording(file, recordings.described(config, PATH))
+    record = recordings.Recording(file, recordings.described(config))
     world = CalibratedWorld(recorder=record, **more)
     world.drive()
     record.close()

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple
 
 from steerkit.car import loop as loops
@@ -18,16 +17,10 @@ from steerkit.diagram import realtime
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.doe import OutputElement
-from steerkit.paths.courses import course
-from steerkit.paths.path import Path
 
 BEND = 147.0
 """Arc length just before a bend of the course [m]: there the wheel has to move."""
-
-
-@cache
-def setup() -> tuple[CarConfig, Path]:
-    return load("dbw-kit.toml"), course("paper")
+CONFIG = load("dbw-kit.toml")
 
 
 class Sent(NamedTuple):
@@ -49,15 +42,13 @@ class World:
         controller: Block | None = None,
         doe: OutputElement | None = None,
         recorder: Recording | None = None,
-        config: CarConfig | None = None,
-        path: Path | None = None,
+        config: CarConfig = CONFIG,
         **untold: Any,
     ):
-        self.config, self.path = setup()
-        self.config, self.path = config or self.config, path or self.path
-        self.car = SimulatedCar(self.config, self.path, s=s, v_min=v[0], v_max=v[1], seed=seed, **untold)
+        self.config = config
+        self.car = SimulatedCar(config, s=s, v_min=v[0], v_max=v[1], seed=seed, **untold)
         self.recorder = recorder
-        self.core = Core(self.config, self.path)
+        self.core = Core(config)
         self.t = 0.0
         self.sent: list[Sent] = []
         self.modes: list[tuple[float, Mode, str]] = [(0.0, Mode.OFF, "start")]
@@ -72,14 +63,14 @@ class World:
         self.handle(Link(0.0, 2, True))
         self.handle(Packet(0.0, 2, protocol.encode(protocol.Hello(False))))
         self.until(0.03)
-        loop = self.build(controller or Stanley.of(self.config.vehicle), doe)
+        loop = self.build(controller or Stanley.of(config.vehicle), doe)
         self.follow = Follow.of(loop, self)
         self.run = realtime.Run(self.follow.resting, self.follow.resting.init(), realtime.Timing(period=loop.dt))
         self.due = 0.05
 
     def build(self, controller: Block, doe: OutputElement | None) -> Loop:
         """The loop of a controller, or of a policy."""
-        return loops.car_loop(self.config, self.path, self, controller, doe=doe)
+        return loops.car_loop(self.config, self, controller, doe=doe)
 
     # a line to the car, as a CarClient
     def query(self) -> protocol.Snapshot:

@@ -12,7 +12,6 @@ from benchmarks.run.production import PortedCar, config_of
 from steerkit._support import native
 from steerkit.car.config import CarConfig
 from steerkit.car.production.platforms import platform
-from steerkit.paths.courses import course
 
 judged = pytest.mark.skipif(native.compiler() is None, reason="opendbc's safety code is C, and there is no compiler")
 EACH = (
@@ -31,7 +30,7 @@ def config(name: str) -> CarConfig:
 
 def ported(name: str, **more: Any) -> PortedCar:
     """On the highway, by hand: its wheel is never quite straight."""
-    return PortedCar(config(name), course("highway"), judge=SafetyJudge(platform(name)), s=10.0, **more)
+    return PortedCar(config(name), judge=SafetyJudge(platform(name)), s=10.0, **more)
 
 
 def steered(car: PortedCar, seconds: float, delta_sw: float = 0.0, *, enable: bool = True) -> None:

@@ -10,7 +10,6 @@ from steerkit.car.protocol import Snapshot
 from steerkit.car.prove import Proving
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import realtime
-from steerkit.paths.path import Path as Course
 from steerkit.proving.manoeuvre import Manoeuvre, manoeuvre
 from tests.support.car_world import World
 
@@ -27,16 +26,16 @@ def small(name: str = "step-steer", v: float = V, a_y: float = 0.15, **more: Any
 class ProvingWorld(World):
     """The car server's core, a simulated car that drives at the manoeuvre's speed, and the runs."""
 
-    def __init__(self, wanted: Manoeuvre, config: CarConfig, path: Course, *, s: float = 20.0, **more: Any):
+    def __init__(self, wanted: Manoeuvre, config: CarConfig, *, s: float = 20.0, **more: Any):
         self.proving: Proving | None = None
         self.seen: list[Snapshot] = []
         how = {key: more.pop(key) for key in ("base", "minutes", "yes") if key in more}
         v = more.pop("v", (wanted.conditions.v - 0.1, wanted.conditions.v + 0.1))
-        super().__init__(s=s, v=v, config=config, path=path, **more)
+        super().__init__(s=s, v=v, config=config, **more)
         self.due = math.inf  # the human drives alone
         self.until(1.5)
         link: Any = self
-        self.proving = Proving(config=config, path=path, link=link, manoeuvre=wanted, **how)
+        self.proving = Proving(config=config, link=link, manoeuvre=wanted, **how)
         resting = self.proving.follow.resting
         self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=resting.dt))
         self.over = False

@@ -14,7 +14,7 @@ from steerkit.car.core import RecordingFault
 from steerkit.car.protocol import VERSION
 from steerkit.car.recording import Recorded, RecordingFile, parse
 from steerkit.car.state_machine import Mode
-from tests.support.car_world import World, setup
+from tests.support.car_world import CONFIG, World
 
 LINES = 24
 """Messages of a chunk."""
@@ -24,7 +24,7 @@ LINES = 24
 def small() -> bytes:
     """The file: READY, engaged, the recording "stops" for a moment, the human brakes, the process ends."""
     with TemporaryDirectory() as folder:
-        recorder = recordings.Recording(Path(folder) / "raw.mcap", recordings.described(*setup()))
+        recorder = recordings.Recording(Path(folder) / "raw.mcap", recordings.described(CONFIG))
         world = World(recorder=recorder)
         world.bring_to(Mode.ENGAGED)
         world.handle(RecordingFault(world.t, "a slow disk"))

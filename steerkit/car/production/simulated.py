@@ -12,7 +12,6 @@ from steerkit.car.production.port import REJECTED_BUS, SILENCE, Frame
 from steerkit.car.simulated import BENDS, FAULTS, SimulatedCar
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.torque_map import LateralMap
-from steerkit.paths.path import Path
 
 _SPEED_NOISE = 0.01  # m/s
 _SLOWEST = 1.0  # m/s: below, torque turns the wheel as at this speed
@@ -32,21 +31,19 @@ class Counts:
 class ProductionCar(SimulatedCar):
     """A production car with its human; it is told what the port sends by `hear`, and says the rest by `said`.
 
-    config: the car server's. path: where the human drives. lateral: what a torque truly does, where it is steered by
-    one (default: as opendbc has it). judge: a panda's safety code, with `tick(t)`, `receive(t, frame_id, data, bus)` of
-    the car's frames (is it in order?) and `may_pass` of those to it; the port gets back what may not. more: what
-    `SimulatedCar` takes, its delay by default that of opendbc.
+    config: the car server's. lateral: what a torque truly does, where it is steered by one (default: as opendbc has
+    it). judge: a panda's safety code, with `tick(t)`, `receive(t, frame_id, data, bus)` of the car's frames (is it in
+    order?) and `may_pass` of those to it; the port gets back what may not. more: what `SimulatedCar` takes, its delay
+    by default that of opendbc.
     """
 
-    def __init__(
-        self, config: CarConfig, path: Path, *, lateral: LateralMap | None = None, judge: Any = None, **more: Any
-    ):
+    def __init__(self, config: CarConfig, *, lateral: LateralMap | None = None, judge: Any = None, **more: Any):
         self.platform = platform(config.port)
         fastest = min(config.states.v_engage_max, config.states.v_max - 1.0)  # between what port and file allow
         v_min = min(max(12.0, self.platform.slowest + 1.5, config.states.v_engage_min), fastest)
         v_max = min(max(v_min + 1.0, 16.0), fastest)
         usual = {"v_min": v_min, "v_max": v_max, "delay": self.platform.delay}
-        super().__init__(config, path, bends=min(BENDS, 0.7 * config.gate.a_y_max), **{**usual, **more})
+        super().__init__(config, bends=min(BENDS, 0.7 * config.gate.a_y_max), **{**usual, **more})
         self.readers = tuple([r for r in config.readers if r.frame_id in config.pose_frames])
         self.frames, self.judge, self.counts = CarFrames(self.platform), judge, Counts()
         self.lateral = lateral or self.platform.lateral

@@ -9,7 +9,7 @@ from steerkit.car import replay as replays
 from steerkit.car.calibration import SHARES, SLOWEST, check
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
-from tests.support.calibrated_car import PATH, CalibratedWorld, Made
+from tests.support.calibrated_car import CalibratedWorld, Made
 
 
 def engaged(minutes: float, seconds: float, **more: Any) -> tuple[CalibratedWorld, Any]:
@@ -38,7 +38,7 @@ def test_its_recording_says_which_wave_was_on_top_and_replays_bit_for_bit(calibr
     config = recordings.config_of(recorded)
     (drive,) = replays.drives(recorded)
     assert [steers.name for _, steers in drive.remarks] == [f"stanley+{wave}" for wave in SHARES]
-    same = replays.replayed_requests(drive, config, PATH)
+    same = replays.replayed_requests(drive, config)
     assert same == len(drive.requests) > 600
 
 

@@ -17,7 +17,7 @@ from steerkit.car.state_machine import Mode
 from steerkit.estimators.estimate import Estimated
 from steerkit.plants.steering_actuator import steering_of
 from steerkit.vehicles import vehicle
-from tests.support.calibrated_car import CONFIG, DELAY, LAG, PATH, RATIO, Made
+from tests.support.calibrated_car import CONFIG, DELAY, LAG, RATIO, Made
 from tests.support.command_lines import run
 from tests.support.recordings import small
 
@@ -87,7 +87,7 @@ def test_a_second_drive_keeps_what_it_does_not_find_and_reports_what_has_changed
 
 def test_a_drive_that_finds_nothing_writes_nothing(tmp_path: Path) -> None:
     out = tmp_path / "mine.toml"
-    recordings.Recording(tmp_path / "t.mcap", recordings.described(CONFIG, PATH)).close()
+    recordings.Recording(tmp_path / "t.mcap", recordings.described(CONFIG)).close()
     with pytest.raises(ValueError, match="there is no drive in it"):
         module.from_recording(tmp_path / "t.mcap", out)
     assert not out.exists()

@@ -11,7 +11,6 @@ from steerkit.car.config import LIMITS, ConfigError, bus_of, check_pace, load, l
 from steerkit.car.ports import open_bus
 from steerkit.car.senses import Senses
 from steerkit.diagram.units import degrees_of, radians_of
-from steerkit.paths.courses import course
 
 KIT = "dbw-kit.toml"
 FILES = {name: shipped(name).read_text(encoding="cp1252") for name in (KIT, "dbw_steering.dbc", "pose.dbc")}
@@ -212,7 +211,7 @@ origin_deg = [52.0, 10.0]
 GNSS_POSITION = { period = 0.01 }
 """
     config = load(changed(tmp_path, "\nx = { -> \n# x = {", "\ny = { -> \n# y = {", gnss))
-    senses = Senses(config, course("paper"))
+    senses = Senses(config)
     message = next(r.message for r in config.readers if r.name == "GNSS_POSITION")
     senses.frame(0.0, 0.0, 0x130, message.encode({"LAT": 52.001, "LON": 10.001}), ())
     assert senses.values["y"] == pytest.approx(111.27, abs=0.05)  # a minute of latitude there is 1854.6 m
@@ -292,7 +291,6 @@ def test_time_runs_as_in_reality_where_a_real_car_may_be(channel: str, real: boo
 
 
 def test_the_file_s_bus_is_taken_unless_a_channel_is_given() -> None:
-    (usual, path), (other, same) = loaded(KIT), loaded(KIT, "virtual:x")
+    usual, other = loaded(KIT), loaded(KIT, "virtual:x")
     assert usual.bus == load(KIT).bus
     assert other.bus == {"interface": "virtual", "channel": "x"} != usual.bus
-    assert path is same is usual.course

@@ -26,7 +26,6 @@ from steerkit.car.protocol import (
 )
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Machine, Mode, Order
-from steerkit.paths.courses import course
 from tests.support.car_messages import config, messages
 from tests.support.car_world import World
 
@@ -43,7 +42,7 @@ happenings = st.one_of(
 @settings(max_examples=30)
 @given(learner_state=st.lists(happenings, max_size=60), engaged=st.booleans())
 def test_noise_raises_nothing_and_moves_nothing(learner_state: list[Any], engaged: bool) -> None:
-    core, t = Core(config(), course("paper")), 5.0
+    core, t = Core(config()), 5.0
     core.handle(Link(t, 1, True))
     core.handle(Packet(t, 1, encode(Hello(True))))
     if engaged:  # put there by force: it must get out by itself
@@ -67,7 +66,7 @@ def test_noise_raises_nothing_and_moves_nothing(learner_state: list[Any], engage
 
 
 def test_time_never_goes_back() -> None:
-    core = Core(config(), course("paper"))
+    core = Core(config())
     core.handle(Tick(10.0))
     core.handle(Tick(9.0))
     assert core.t == 10.0
@@ -75,7 +74,7 @@ def test_time_never_goes_back() -> None:
 
 
 def test_a_look_that_comes_late_counts_for_a_second() -> None:
-    core = Core(config(), course("paper"))
+    core = Core(config())
     for late, worst in ((0.0009, 0.0), (0.0011, 0.0011), (0.03, 0.03), (0.02, 0.03)):
         core.handle(Tick(core.wake + late))
         assert core.facts(core.t).lateness == pytest.approx(worst)
@@ -181,7 +180,7 @@ def test_the_kit_is_told_to_clear_its_faults_once() -> None:
 
 
 def linked(**changes: Any) -> Core:
-    core = Core(replace(config(), **changes), course("paper"))
+    core = Core(replace(config(), **changes))
     core.handle(Link(5.0, 1, True))
     core.handle(Packet(5.0, 1, encode(Hello(True))))
     return core
@@ -356,7 +355,7 @@ def test_who_reads_no_keys_cannot_engage_beside_two_panels_whose_names_are_shown
 
 @pytest.mark.parametrize("hello", [["Hello", False, 4, ""], ["Hello", True, 7, "", "me", 1.0], ["Hello", False, 1]])
 def test_a_client_of_another_version_is_told_so(hello: list[Any]) -> None:
-    core = Core(config(), course("paper"))
+    core = Core(config())
     core.handle(Link(5.0, 1, True))
     (reply,) = core.handle(Packet(5.0, 1, json.dumps(hello).encode()))
     both = f"version 6 of the protocol, not {hello[2]}: start both from the same installation"

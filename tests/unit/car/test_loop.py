@@ -18,9 +18,7 @@ from steerkit.diagram.block import Block
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import setting
 from steerkit.scenario.catalogue import make_controller
-from tests.support.car_world import World, setup
-
-CONFIG, COURSE = setup()
+from tests.support.car_world import CONFIG, World
 
 
 def test_controllers_are_told_the_kits_delay_and_lag_and_the_lower_of_two_stops() -> None:
@@ -52,7 +50,7 @@ def test_a_solver_has_its_budget_on_the_road_and_all_the_time_it_needs_in_a_repl
 
 
 def test_e_is_measured_at_the_front_axle() -> None:
-    loop = loops.car_loop(CONFIG, COURSE, ReplayLink([]), Stanley.of(CONFIG.vehicle))
+    loop = loops.car_loop(CONFIG, ReplayLink([]), Stanley.of(CONFIG.vehicle))
     tracker: Any = loop.blocks["path"]
     assert tracker.reference == CONFIG.vehicle.l_f
     assert loop.inputs_of("controller")["e"] == "path.e"
@@ -158,7 +156,7 @@ def test_a_pose_that_comes_back_makes_the_loop_begin_anew_once_but_never_while_e
 def test_what_was_found_of_a_car_that_got_off_its_path_or_into_a_fault_is_not_believed(
     e: float, then: Mode, kept: bool
 ) -> None:
-    adaptive: Any = make_controller("stanley-adaptive", loops.design_model_of(setup()[0]))
+    adaptive: Any = make_controller("stanley-adaptive", loops.design_model_of(CONFIG))
     world = world_of(adaptive)
     world.until(0.3)
     line: Any = SimpleNamespace(last=world.last)

@@ -45,8 +45,8 @@ def kit(tmp_path_factory: pytest.TempPathFactory) -> CarConfig:
 def driven(kit: CarConfig, tmp_path_factory: pytest.TempPathFactory) -> tuple[ProvingWorld, Path]:
     """A step to each side, one more that was aborted by the brake's kin, recorded."""
     file = tmp_path_factory.mktemp("driven") / "drive.mcap"
-    record = recordings.Recording(file, recordings.described(kit, long_oval()))
-    world = ProvingWorld(small(a_y=0.06, repeats=1), kit, long_oval(), recorder=record)
+    record = recordings.Recording(file, recordings.described(kit))
+    world = ProvingWorld(small(a_y=0.06, repeats=1), kit, recorder=record)
     world.begin()
     world.until(world.t + 1.0)
     world.car.faults.append(Fault(kind="override", target="report", start=world.t, length=0.1))
@@ -60,7 +60,7 @@ def driven(kit: CarConfig, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pr
 
 
 def world_of(kit: CarConfig, **more: Any) -> ProvingWorld:
-    return ProvingWorld(small(a_y=0.06, repeats=1), kit, long_oval(), **more)
+    return ProvingWorld(small(a_y=0.06, repeats=1), kit, **more)
 
 
 def test_the_wave_gets_to_the_wheel_through_the_gate_and_turns_the_car(driven: Any) -> None:
@@ -78,7 +78,7 @@ def test_the_wave_gets_to_the_wheel_through_the_gate_and_turns_the_car(driven: A
 
 def test_the_gate_bounds_a_wave_as_any_request(kit: CarConfig) -> None:
     steep = small("openpilot-step-20", a_y=0.9, repeats=1, sides=("left",))  # a step within a sample
-    world = ProvingWorld(steep, kit, long_oval())
+    world = ProvingWorld(steep, kit)
     run = world.begin()
     world.go_on(lambda: run["end"] is not None)
     asked = [request for event, out in world.events for request in _requests(out) if event.t > run["begin"]]
@@ -175,7 +175,7 @@ def _fault(kind: str, target: str = "report", **more: Any) -> Callable[[ProvingW
 )
 def test_what_aborts_a_run(kit: CarConfig, happens: Any, abort: Any, cause: str, mode: Mode) -> None:
     wanted = small("sine", a_y=1.0, repeats=1, sides=("left",))
-    world = ProvingWorld(wanted, kit, long_oval())
+    world = ProvingWorld(wanted, kit)
     assert world.proving is not None
     run = world.begin()
     world.until(world.t + 0.3)
@@ -214,7 +214,7 @@ def test_the_foot_on_the_brake_aborts_a_run_of_a_car_that_tells(tmp_path: Path) 
 
 def test_an_invalid_run_is_driven_again_but_not_for_ever(kit: CarConfig) -> None:
     wanted = replace(small(a_y=0.06), repeats=1, sides=("left",))
-    world = ProvingWorld(wanted, kit, long_oval(), yes=True)
+    world = ProvingWorld(wanted, kit, yes=True)
     for tries in range(1, TRIES + 1):
         world.go_on(lambda tries=tries: len(world.runs) == tries)
         world.until(world.t + 0.3)
@@ -228,7 +228,7 @@ def test_an_invalid_run_is_driven_again_but_not_for_ever(kit: CarConfig) -> None
 def test_a_long_wave_is_steered_on_top_of_the_controller(kit: CarConfig) -> None:
     wave = replace(manoeuvre("weave").at(V, 1.0), repeats=1)
     wave = replace(wave, input=replace(wave.required, periods=2.0))
-    world = ProvingWorld(wave, kit, long_oval(), yes=True)
+    world = ProvingWorld(wave, kit, yes=True)
     world.go_on(lambda: bool(world.runs) and world.runs[-1]["end"] is not None)
     (run,) = world.runs
     assert run["cause"] == ""
@@ -241,14 +241,14 @@ def test_a_long_wave_is_steered_on_top_of_the_controller(kit: CarConfig) -> None
 def test_a_manoeuvre_on_a_course_is_a_round_of_the_cars_own_course(tmp_path: Path) -> None:
     path = circle(10.0)
     kit = config_on(path, tmp_path)
-    world = ProvingWorld(replace(manoeuvre("lane-keeping-bend").at(4.0), repeats=1), kit, path)
+    world = ProvingWorld(replace(manoeuvre("lane-keeping-bend").at(4.0), repeats=1), kit)
     world.engage()
     world.go_on(lambda: world.over, 400.0)
     (run,) = world.runs
     assert (run["cause"], run["side"]) == ("", "course")
     way = sum(s.v * 0.05 for s in world.seen if run["begin"] < s.t < run["end"])
     assert way == pytest.approx(path.length, rel=0.03)
-    again = ProvingWorld(manoeuvre("steady-state-circle").at(4.0), kit, path, minutes=0.05)
+    again = ProvingWorld(manoeuvre("steady-state-circle").at(4.0), kit, minutes=0.05)
     again.engage()
     again.go_on(lambda: bool(again.runs) and again.runs[-1]["end"] is not None)
     assert again.runs[0]["end"] - again.runs[0]["begin"] == pytest.approx(3.0, abs=0.1)
@@ -256,23 +256,23 @@ def test_a_manoeuvre_on_a_course_is_a_round_of_the_cars_own_course(tmp_path: Pat
 
 def test_what_does_not_fit_is_refused_by_name_with_what_would(kit: CarConfig) -> None:
     with pytest.raises(ValueError, match=r"v = 27.8 m/s, its file and port allow 0.5 to 9 .*--speed 9") as error:
-        check(manoeuvre("step-steer"), kit, long_oval())
+        check(manoeuvre("step-steer"), kit)
     for name in ("a_y_max", "rate_max", "jerk_max", "e_max", "e_growth"):
         assert f"{name} " in str(error.value)
     fits = float(str(error.value).split("--a-y ")[1].split(";")[0])
-    check(manoeuvre("step-steer").at(9.0, fits), kit, long_oval())
+    check(manoeuvre("step-steer").at(9.0, fits), kit)
     with pytest.raises(ValueError, match=f"e_max .*--a-y {fits:g}"):
-        check(manoeuvre("step-steer").at(9.0, fits + 0.02), kit, long_oval())
+        check(manoeuvre("step-steer").at(9.0, fits + 0.02), kit)
     near = small(abort=replace(Abort(), e=0.5))
     with pytest.raises(ValueError, match=r"abort\.e 0.04: --a-y 0.04"):  # the smaller of the two
-        check(near, kit, long_oval())
+        check(near, kit)
     with pytest.raises(ValueError, match=r"straight on, the course has 0 m: another \[course\]"):
-        check(small(a_y=0.1), kit, circle(50.0))
+        check(small(a_y=0.1), replace(kit, course=circle(50.0)))
     with pytest.raises(ValueError, match="did you mean 'stanley'"):
-        check(small(a_y=0.1), kit, long_oval(), "stanly")
+        check(small(a_y=0.1), kit, "stanly")
     steep = Input(form="levels", angle_deg=200.0, rise=1.0, hold=0.5)
     with pytest.raises(ValueError, match="a_y_max"):
-        check(small(input=steep), kit, long_oval())
+        check(small(input=steep), kit)
     with pytest.raises(ValueError, match="--yes consents for simulated cars alone"):
         prove.drive(Options(config="dbw-kit.toml"), small(), yes=True)
     with pytest.raises(ValueError, match="cannot be driven with this car"):
@@ -309,7 +309,7 @@ def test_its_recording_replays_bit_for_bit_and_says_each_run(driven: Any) -> Non
     recorded = recordings.read(file)
     config = recordings.config_of(recorded)
     (drive,) = replays.drives(recorded)
-    same = replays.replayed_requests(drive, config, long_oval())
+    same = replays.replayed_requests(drive, config)
     assert same == len(drive.requests) > 500
     names = [steers.name for _, steers in drive.remarks]
     assert names == [
@@ -327,19 +327,19 @@ def test_its_recording_replays_bit_for_bit_and_says_each_run(driven: Any) -> Non
     told = json.loads(first.run)
     told["input"]["a_y"] = 0.0605
     drive.remarks[drive.remarks.index((count, first))] = (count, replace(first, run=json.dumps(told)))
-    assert replays.replayed_requests(drive, config, long_oval()) < same, "another wave is noticed"
+    assert replays.replayed_requests(drive, config) < same, "another wave is noticed"
 
 
 def test_a_users_own_manoeuvre_is_replayed_from_what_was_recorded_of_it(kit: CarConfig, tmp_path: Path) -> None:
     own = replace(small("sine", a_y=0.3, repeats=1, sides=("right",)), name="my-sine")
     own = replace(own, input=replace(own.required, frequency=0.8))
-    record = recordings.Recording(tmp_path / "own.mcap", recordings.described(kit, long_oval()))
-    world = ProvingWorld(own, kit, long_oval(), recorder=record, yes=True)
+    record = recordings.Recording(tmp_path / "own.mcap", recordings.described(kit))
+    world = ProvingWorld(own, kit, recorder=record, yes=True)
     world.go_on(lambda: bool(world.runs) and world.runs[-1]["end"] is not None)
     record.close()
     recorded = recordings.read(tmp_path / "own.mcap")
     (drive,) = replays.drives(recorded)
-    assert replays.replayed_requests(drive, recordings.config_of(recorded), long_oval()) == len(drive.requests)
+    assert replays.replayed_requests(drive, recordings.config_of(recorded)) == len(drive.requests)
     assert runs_in(tmp_path / "own.mcap")[0]["manoeuvre"] == "my-sine"
 
 
@@ -368,8 +368,8 @@ from steerkit.car import recording as recordings
 from tests.support.proved_car import ProvingWorld, config_on, oval, small
 folder = Path(sys.argv[1])
 kit = config_on(oval(), folder)
-record = recordings.Recording(folder / "cut.mcap", recordings.described(kit, oval()))
-world = ProvingWorld(small(a_y=0.06, repeats=1), kit, oval(), recorder=record)
+record = recordings.Recording(folder / "cut.mcap", recordings.described(kit))
+world = ProvingWorld(small(a_y=0.06, repeats=1), kit, recorder=record)
 world.begin()
 world.until(world.t + 2.0)
 asked, _ = world.t, world.until(world.t + 0.5)
@@ -391,12 +391,12 @@ def test_a_kill_in_mid_run_leaves_a_recording_that_says_it(tmp_path: Path, monke
     recorded = recordings.read(tmp_path / "cut.mcap")
     assert not recorded.whole
     (drive,) = replays.drives(recorded)
-    assert replays.replayed_requests(drive, recordings.config_of(recorded), oval()) == len(drive.requests) > 100
+    assert replays.replayed_requests(drive, recordings.config_of(recorded)) == len(drive.requests) > 100
 
 
 def test_a_controller_that_dies_in_mid_run_leaves_silence_and_its_cause(kit: CarConfig, tmp_path: Path) -> None:
     file = tmp_path / "gone.mcap"
-    record = recordings.Recording(file, recordings.described(kit, oval()))
+    record = recordings.Recording(file, recordings.described(kit))
     world = world_of(kit, recorder=record)
     world.begin()
     world.until(world.t + 1.0)

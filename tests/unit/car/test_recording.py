@@ -20,7 +20,7 @@ from steerkit.car.config import load, shipped
 from steerkit.car.core import Core, End, Frame, Link, Note, Packet, RecordingFault, Send, Tick
 from steerkit.car.state_machine import Mode
 from steerkit.vehicles import vehicle, vehicle_text
-from tests.support.car_world import World, setup
+from tests.support.car_world import CONFIG, World
 from tests.support.recordings import LINES, chunked, chunks_of, flipped, full_disk, small, until
 
 # ---- what is read ------------------------------------------------------------------------------------------
@@ -29,7 +29,7 @@ from tests.support.recordings import LINES, chunked, chunks_of, flipped, full_di
 def test_a_recording_of_a_drive_replays_bit_for_bit(drive: Path) -> None:
     recorded = recordings.read(drive)
     assert recorded.whole
-    frames, equal = recordings.replayed_exactly(recorded, Core(recordings.config_of(recorded), setup()[1]))
+    frames, equal = recordings.replayed_exactly(recorded, Core(recordings.config_of(recorded)))
     assert frames == equal > 10
     assert {type(event) for event in recorded.events()} == {Frame, Packet, Link, Tick, RecordingFault}
     count, size = len(recorded.messages), len(small())
@@ -72,13 +72,13 @@ def test_numbers_of_a_recording_come_back_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_a_replay_that_sends_more_or_fewer_frames_is_not_exact(drive: Path) -> None:
-    recorded, (config, path) = recordings.read(drive), setup()
+    recorded = recordings.read(drive)
     (*_, last) = (k for k, message in enumerate(recorded.messages) if message.topic == "/can/tx")
     for messages in (
         recorded.messages[:last] + recorded.messages[last + 1 :],
         [*recorded.messages, recorded.messages[last]],
     ):
-        frames, equal = recordings.replayed_exactly(recorded._replace(messages=messages), Core(config, path))
+        frames, equal = recordings.replayed_exactly(recorded._replace(messages=messages), Core(CONFIG))
         assert equal == frames - 1
 
 
@@ -99,7 +99,7 @@ def test_a_recording_that_stops_ends_the_drive_if_it_has_to_be_kept(keep: bool, 
     world.until(world.t + 0.1)
     assert keep or "no space" not in world.query().text
     recorder.close()
-    frames, equal = recordings.replayed_exactly(recordings.read(tmp_path / "t.mcap"), Core(world.config, world.path))
+    frames, equal = recordings.replayed_exactly(recordings.read(tmp_path / "t.mcap"), Core(world.config))
     assert frames == equal > 5
 
 
@@ -203,8 +203,7 @@ def own_files(folder: Path) -> Path:
 
 def test_a_replay_depends_on_no_file_but_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = load(own_files(tmp_path / "here"))
-    path = config.course
-    recordings.Recording(tmp_path / "t.mcap", recordings.described(config, path, 2.5)).close()
+    recordings.Recording(tmp_path / "t.mcap", recordings.described(config, 2.5)).close()
     for file in (tmp_path / "here").rglob("*.*"):
         file.write_text("gone")
     (tmp_path / "elsewhere").mkdir()
@@ -215,19 +214,19 @@ def test_a_replay_depends_on_no_file_but_the_recording(tmp_path: Path, monkeypat
     assert sorted(text for name, text in again.texts.items() if name.endswith(".DBC")) == sorted(
         text for name, text in config.texts.items() if name.endswith(".DBC")
     )
-    assert protocol.digest(again.course) == protocol.digest(path)
+    assert protocol.digest(again.course) == protocol.digest(config.course)
     assert [reader.frame_id for reader in again.readers] == [reader.frame_id for reader in config.readers]
     assert again.gate == config.gate
     assert recorded.metadata["time_scale"] == "2.5"
     assert recorded.metadata["protocol"] == str(protocol.VERSION)
     assert {"python", "numpy", "steerkit-control", "cantools"} <= recorded.metadata.keys()
-    assert recordings.differences(recorded, again, again.course) == []
+    assert recordings.differences(recorded, again) == []
 
 
 @pytest.mark.parametrize("name", ["can/pose.DBC", "places/same.csv", "cars/own.toml"])
 def test_a_recording_that_lacks_a_file_says_which(tmp_path: Path, name: str) -> None:
     config = load(own_files(tmp_path / "here"))
-    description = recordings.described(config, config.course)
+    description = recordings.described(config)
     del description[f"file:{name}"]
     recordings.Recording(tmp_path / "t.mcap", description).close()
     with pytest.raises(ValueError, match=f"the recording: .*{name} is not in it: no replay"):
@@ -245,10 +244,9 @@ def test_a_recording_without_description_says_that_there_is_no_replay(tmp_path: 
 
 def test_what_is_different_from_then_is_told(drive: Path) -> None:
     recorded = recordings.read(drive)
-    config, path = setup()
-    assert recordings.differences(recorded, config, path) == []
+    assert recordings.differences(recorded, CONFIG) == []
     then = recorded._replace(metadata={**recorded.metadata, "numpy": "0.1", "course": "00", "vehicle": "{}"})
-    told = recordings.differences(then, config, path)
+    told = recordings.differences(then, CONFIG)
     assert any(text.startswith("numpy 0.1, now ") for text in told)
     assert {"the course of that name is another one", "the vehicle of that name is another one"} < set(told)
 

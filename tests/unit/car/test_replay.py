@@ -17,11 +17,9 @@ from steerkit.car.config import CarConfig
 from steerkit.car.loop import Steers, controller_named
 from steerkit.car.recording import Message, Recorded
 from steerkit.learning import rundir
-from tests.support.car_world import setup
+from tests.support.car_world import CONFIG
 from tests.support.own_controller import TEXT
 from tests.support.places import ROOT
-
-CONFIG, COURSE = setup()
 
 
 def client(link: int, message: protocol.Message) -> Message:
@@ -64,7 +62,7 @@ def test_a_request_that_is_no_number_is_the_same_when_it_is_none_again() -> None
     seen = [protocol.Snapshot(0.05 * k, **there, delta_sw=angle) for k, angle in enumerate(wheel)]
     drive = replays.Drive(snapshots=seen, requests=[(s.t, math.nan) for s in seen[1:]], first=2)
     none_again = 3  # two without a report, and one more whose controller remembers none
-    assert replays.replayed_requests(drive, CONFIG, COURSE, controller="stanley") == none_again
+    assert replays.replayed_requests(drive, CONFIG, controller="stanley") == none_again
 
 
 def forged(folder: Path, **steers: Any) -> tuple[replays.Drive, CarConfig]:
@@ -100,7 +98,7 @@ def test_nothing_that_a_recording_names_is_run(
     (tmp_path / "module_of_mine.py").write_text((tmp_path / "mine.py").read_text())
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ValueError, match=says):
-        replays.replayed_requests(drive, config, COURSE)
+        replays.replayed_requests(drive, config)
     assert not (tmp_path / "ran").exists()
 
 
@@ -109,7 +107,7 @@ def test_own_code_is_run_again_if_its_user_names_it_and_it_is_what_drove(tmp_pat
     name = config.controllers[0]
     plugins.mine(name)
     with pytest.raises(ValueError, match=r"mine.py has changed since the recording was written"):
-        replays.replayed_requests(drive, config, COURSE)
+        replays.replayed_requests(drive, config)
     assert not (tmp_path / "ran").exists()
     drive.remarks = [(0, controller_named(name, config).steers)]
-    assert replays.replayed_requests(drive, config, COURSE) == 0  # it runs, and asks for something else
+    assert replays.replayed_requests(drive, config) == 0  # it runs, and asks for something else

@@ -1,6 +1,7 @@
 """What the frames say: values, ages, and what is wrong although each frame is well."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -19,7 +20,7 @@ class Bench:
     """Senses, and the frames of a car for them."""
 
     def __init__(self, path: Path = LINE) -> None:
-        self.senses = Senses(config(), path)
+        self.senses = Senses(replace(config(), course=path))
         self.encoders = {reader.name: reader for reader in config().readers}
         self.counts = dict.fromkeys(self.encoders, 0)
 

@@ -25,13 +25,12 @@ from steerkit.car.recording import Recording
 from steerkit.car.server import CarServer
 from steerkit.car.state_machine import Machine, Mode
 from steerkit.diagram.units import radians_of
-from steerkit.paths.courses import course
 from tests.support.command_lines import run
 
 
 def made(place: Path) -> CarServer:
     config = replace(load("dbw-kit.toml"), bus={"interface": "virtual", "channel": str(place)})
-    return CarServer(config, course("paper"), str(place))
+    return CarServer(config, str(place))
 
 
 @pytest.fixture
@@ -208,7 +207,7 @@ def driving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bus: Bus) -> CarSer
     monkeypatch.setattr(server, "_open", lambda *words: bus)
     config = replace(load("dbw-kit.toml"), bus={"interface": "virtual", "channel": "x"})
     recorder = Recording(tmp_path / "drive.mcap", {})
-    running = CarServer(config, course("paper"), str(tmp_path / "socket"), recording=recorder)
+    running = CarServer(config, str(tmp_path / "socket"), recording=recorder)
     running.core.machine = Machine(Mode.ENGAGED, "by force", running.clock.now())
     return running
 
@@ -315,7 +314,7 @@ def test_noise_on_a_real_slcan_line_is_counted_and_the_frames_between_are_read(t
     master, slave = os.openpty()
     tty.setraw(slave)
     bus = {"interface": "slcan", "channel": os.ttyname(slave), "bitrate": 500000, "sleep_after_open": 0.0}
-    running = CarServer(replace(load("dbw-kit.toml"), bus=bus), course("paper"), str(tmp_path / "socket"))
+    running = CarServer(replace(load("dbw-kit.toml"), bus=bus), str(tmp_path / "socket"))
     senses, end = running.core.senses, time.monotonic() + 60.0
     try:
         for k, noise in enumerate(NOISE, 1):

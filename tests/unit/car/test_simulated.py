@@ -12,13 +12,11 @@ from steerkit.car.config import load, shipped
 from steerkit.car.core import Frame
 from steerkit.car.simulated import WATCHDOG, Fault, SimulatedCar
 from steerkit.car.state_machine import Mode
-from tests.support.car_world import BEND, World, setup
-
-CONFIG, PATH = setup()
+from tests.support.car_world import BEND, CONFIG, World
 
 
 def car(**changes: Any) -> SimulatedCar:
-    return SimulatedCar(CONFIG, PATH, **{"s": 20.0, "v_min": 5.0, "v_max": 5.0, **changes})
+    return SimulatedCar(CONFIG, **{"s": 20.0, "v_min": 5.0, "v_max": 5.0, **changes})
 
 
 def tell(it: SimulatedCar, angle: float, *, enable: bool = True, clear: bool = False) -> None:
@@ -69,8 +67,8 @@ def test_an_override_lasts_until_a_frame_without_enable() -> None:
 @pytest.mark.parametrize("s", [20.0, 200.0, 430.0])
 def test_it_starts_where_it_is_told(s: float, e: float) -> None:
     it = car(s=s, e=e)
-    psi = float(PATH.psi(s))
-    away = np.array([it.now.x, it.now.y]) - PATH.point(s)
+    psi = float(CONFIG.course.psi(s))
+    away = np.array([it.now.x, it.now.y]) - CONFIG.course.point(s)
     assert away @ (math.cos(psi), math.sin(psi)) == pytest.approx(0.0, abs=1e-9)
     assert away @ (-math.sin(psi), math.cos(psi)) == pytest.approx(e, abs=1e-9)
     assert it.now.psi == pytest.approx(psi)

@@ -16,7 +16,7 @@ def test_commands_that_a_tighter_gate_would_not_have_let_through_are_counted(tmp
     config = config_on(oval(), tmp_path)
     wanted = replace(fitting("openpilot-sine-20", config, 8.0), repeats=1)
     file = tmp_path / "drive.mcap"
-    world = ProvingWorld(wanted, config, oval(), file=file)
+    world = ProvingWorld(wanted, config, file=file)
     run = world.begin()
     world.drive(1.0)
     assert world.beyond_gate == 0
@@ -32,4 +32,4 @@ def test_commands_that_a_tighter_gate_would_not_have_let_through_are_counted(tmp
 @pytest.mark.parametrize("name", ["step-steer", "pulse-steer", "openpilot-step-30", "lane-change-1"])
 def test_a_fitting_manoeuvre_is_none_that_is_refused(name: str, tmp_path: Path) -> None:
     config = config_on(oval(), tmp_path, KIT)
-    check(fitting(name, config, 8.0), config, oval())
+    check(fitting(name, config, 8.0), config)

@@ -11,7 +11,6 @@ from steerkit.car.production.port import OTHER, REJECTED_BUS, RELEASED, SILENCE,
 from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.simulated import Fault
 from steerkit.estimators.torque_map import LateralMap
-from steerkit.paths.courses import course
 from tests.support.production import config, judged, ported, steered
 
 
@@ -71,7 +70,7 @@ def test_another_sender_of_frames_that_steer_is_noticed_and_the_port_lets_go(nam
 def test_equal_frames_give_equal_frames() -> None:
     frames: list[list[Frame]] = []
     for _ in range(2):
-        car = PortedCar(config("HYUNDAI_ELANTRA_2021"), course("highway"), s=10.0)
+        car = PortedCar(config("HYUNDAI_ELANTRA_2021"), s=10.0)
         heard: list[Frame] = []
         car.listen = heard.append
         car.advance(0.8)
@@ -99,7 +98,7 @@ def test_the_car_s_own_watchdog_lets_go_when_the_port_no_longer_sends() -> None:
     car.listen = heard.append
     car.advance(1.2)
     steered(car, 0.3)
-    made = ProductionCar(config("TESLA_MODEL_3"), course("highway"), s=10.0)
+    made = ProductionCar(config("TESLA_MODEL_3"), s=10.0)
     made.hear(0.0, next(frame for frame in heard[::-1] if frame.frame_id == 0x488))
     made.advance(0.05)
     assert made.enabled
