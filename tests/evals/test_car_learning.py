@@ -19,6 +19,7 @@ from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import DOE
 from steerkit.diagram import realtime
+from steerkit.learning import rundir
 from steerkit.learning.learner_state import Before, Recovery
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
@@ -167,6 +168,17 @@ def test_a_run_is_continued_with_its_own_setting_only(tmp_path: Path, monkeypatc
     named = loops.controller_named(str(tmp_path / "run"), CONFIG)
     assert named.steers.doe == "integrator"
     assert Path(named.steers.name).name == again.net_file.name
+
+
+def test_a_run_that_is_continued_trains_its_newest_nets_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(s=20.0)
+    monkeypatch.setattr(on_car, "Trainer", lambda learned: Beside(world, learned))
+    with learner_of(world, tmp_path / "run") as first:
+        assert first.trainer.learned.nets == (), "an untrained net is none to go on from"  # type: ignore[attr-defined]
+    newest = replace(first.learner_state.policy, nets=nfq.fresh_nets(TINY.fit, TINY.description(), seed=1))
+    newest.save(rundir.net_file(tmp_path / "run", 1))
+    with learner_of(world, tmp_path / "run") as again:
+        np.testing.assert_equal(again.trainer.learned.nets, newest.nets)  # type: ignore[attr-defined]
 
 
 def test_one_process_at_a_time_learns_on_a_car_in_a_directory(tmp_path: Path) -> None:
