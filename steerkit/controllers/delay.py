@@ -160,7 +160,7 @@ def delayed_stanley(
 ) -> DelayPredictor:
     """Stanley for a steering delay and lag [s], 0 to 0.3 s and about 0.1 s: predicted, with gains tuned for that.
 
-    The gains are what `python -m benchmarks study tune_stanley` chose: with the prediction, damping only costs.
+    The gains are the best of a grid (docs/measured.md, Stanley's gains): with the prediction, damping only costs.
     steering: as of `DelayPredictor.around`.
     """
     share = 1.0 if steering.get("slew") is None else _SHARE_OF_TORQUE

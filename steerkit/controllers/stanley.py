@@ -47,8 +47,7 @@ class Stanley(LimitedLaw):
     keeps the law regular. NaN in any input gives NaN out. Raises ValueError for gains out of range.
 
     Source: Hoffmann, Tomlin, Montemerlo, Thrun, ACC 2007, eq. 9. k_soft = 1 is theirs; the other gains are not
-    published: these are for a steering delay up to 0.1 s. the study `tune_stanley` compares them with others, and
-    has found those of `delay.delayed_stanley`, for delays up to 0.3 s.
+    published: these are for a steering delay up to 0.1 s, those of `delay.delayed_stanley` for delays up to 0.3 s.
     """
 
     e = In("m")

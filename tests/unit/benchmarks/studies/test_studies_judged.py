@@ -6,28 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.studies import foreign, learning, throughput, tune_stanley
-from steerkit.diagram.simulation import Log
+from benchmarks.studies import foreign, learning, throughput
 from steerkit.task import DT
 
 NAN = math.nan
-
-
-def log(**signals: Any) -> Log:
-    """Samples of signals whose names are given with `__` for the point."""
-    columns = {name.replace("__", "."): np.array(values, dtype=float) for name, values in signals.items()}
-    samples = len(next(iter(columns.values())))
-    return Log(DT * np.arange(samples), columns, dict.fromkeys(columns, ""))
-
-
-def test_the_root_mean_square_is_that_of_the_first_round() -> None:
-    drive = log(path__progress=[0, 5, 10, 4], path__e=[3.0, 4.0, 100.0, 100.0])
-    assert tune_stanley.rms(drive, "path.e", 10.0) == pytest.approx(math.sqrt(12.5))
-
-
-def test_gains_are_chosen_among_those_near_the_best() -> None:
-    result = tune_stanley.Result(e=np.array([0.10, 0.11, 0.121]), rate=np.array([3.0, 2.0, 1.0]))
-    assert result.chosen == 1
 
 
 def outcome(**changes: Any) -> learning.Outcome:
