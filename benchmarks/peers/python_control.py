@@ -1,6 +1,6 @@
-"""A closed loop of steerkit as systems of python-control, wired three ways: what the study `throughput` compares with.
+"""A closed loop of steerkit as systems of python-control, wired two ways: what the study `throughput` compares with.
 
-All three run the blocks' own functions on floats, so that only the machinery between them differs. Each maker returns a
+Both run the blocks' own functions on floats, so that only the machinery between them differs. Each maker returns a
 system and its start state.
 """
 

@@ -1,27 +1,24 @@
 """Does it learn any car there is? Cars of the fleet, or of another kind, each on a course that nothing was tuned on.
 
 Part of the study `learning`: `python -m benchmarks study learning --fleet 40 --seeds 1 [--json]`, and `--cars KIND` for
-the cars of `KINDS`. The learner knows nothing of its car, but of one steered by torque the slew. Analytic controllers
-drive the same test once with the true parameters (`Knowledge.oracle`, delay and lag) and once with the data sheet
-(mass, tyres, ratio; nothing of the steering's delay, lag and offset, but of torque steering all except its gain). Play
-and sensor noise are unknown to all. A ratio is that of the learner's final net to the analytic controller of the least
-RMS e.
+the cars of `KINDS`. The learner knows nothing of its car. Analytic controllers drive the same test once with the true
+parameters (`Knowledge.oracle`, delay and lag) and once with the data sheet (mass, tyres, ratio; nothing of the
+steering's delay, lag and offset). Play and sensor noise are unknown to all. A ratio is that of the learner's final net
+to the analytic controller of the least RMS e.
 """
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.run.spread import Where, computing
 from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from benchmarks.scenarios import MULTI_BODY
+from benchmarks.tables import show
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import Setting
 from steerkit.metrics import Summary, of_log
@@ -52,18 +49,6 @@ def _delays(course: str, v_min: float, v_max: float) -> tuple[Scenario, ...]:
     )
 
 
-def _torque(vehicle: str) -> tuple[Scenario, ...]:
-    course = "sweeping-2000"
-    scenario = Scenario.under(
-        "hard",
-        vehicle=vehicle,
-        course={"name": course, "start": _start(course)},
-        driver={"v_min": 12.0, "v_max": 20.0, "a_y_max": 1.5},
-        steering={"command": "torque", "delay": 0.35, "lag": 0.0},
-    )
-    return tuple(scenario.with_(name=f"gain {gain:g}", steering={"gain": gain}) for gain in (0.75, 1.25))
-
-
 def _multi_body() -> tuple[Scenario, ...]:
     course = "random-2000"
     return (
@@ -88,14 +73,11 @@ KINDS: Mapping[str, Callable[[], tuple[Scenario, ...]]] = MappingProxyType(
     {
         "delays": lambda: _delays("random-2000", 4.0, 7.5),
         "fast-delays": lambda: _delays("sweeping-2000", 12.0, 25.0),
-        "torque": lambda: _torque("vw-passat"),
-        "torque-soft": lambda: _torque("fleet-12"),
         "multi-body": _multi_body,
     }
 )
-"""Cars besides the fleet's: the Passat with a delay, at 4 to 7.5 and at 12 to 25 m/s; steered by torque with a gain 25
-% off, on bends of 100 m and more, and the same with a Corolla, whose tyres give way more; CommonRoad's multi-body BMW
-with 0.2 s of delay. All with `hard` sensors."""
+"""Cars besides the fleet's: the Passat with a delay, at 4 to 7.5 and at 12 to 25 m/s; CommonRoad's multi-body BMW with
+0.2 s of delay. All with `hard` sensors."""
 
 
 @dataclass(frozen=True)
@@ -146,9 +128,7 @@ def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
     summary = final.summary if final else None
     nan = float("nan")
     best, truth = best_of(scenario.with_(knowledge={"oracle": True}), ORACLE, test)
-    by_torque = scenario.steering.command == "torque"  # whose dead time and slew its makers know
-    on_paper = scenario if by_torque else scenario.with_(knowledge={"delay": 0.0, "lag": 0.0})
-    on_sheet, sheet = best_of(on_paper, ORACLE if by_torque else TOLD_DATA_SHEET, test)
+    on_sheet, sheet = best_of(scenario.with_(knowledge={"delay": 0.0, "lag": 0.0}), TOLD_DATA_SHEET, test)
     forecast = nets[-1].policy.forecast if nets else None
     mine = (summary.rms_e, summary.rms_wheel_rate_deg, summary.rms_jerk) if summary else (nan,) * 3
     return FleetOutcome(
@@ -224,23 +204,9 @@ def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
 def fleet(
     cars: Sequence[Scenario], seeds: Sequence[int], setting: Setting, minutes: float, where: Where
 ) -> dict[str, Any]:
-    """Run all cars with all seeds, a line each as it comes, then the table in their order and its last line."""
+    """Run all cars with all seeds, a line each as it comes, then the table in their order."""
     jobs = [(car, seed, setting, minutes) for car in cars for seed in seeds]
-    console, by_number = Console(width=190), dict[int, FleetOutcome]()
-    say = partial(Console(stderr=True).print, soft_wrap=True, markup=False, highlight=False)
     with computing(where) as those:
-        for number, outcome in those.done(one_car, jobs, say=say):
-            by_number[number] = outcome
-            good = "never" if outcome.good is None else f"{outcome.good:.0f} s"
-            say(
-                f"{len(by_number)}/{len(jobs)} {outcome.name}, {outcome.car}: GOOD after {good}, {outcome.failures} "
-                f"failures, RMS e {outcome.rms_x_oracle:.2f} times that of {outcome.best} with true parameters"
-            )
-    outcomes = [by_number[number] for number in range(len(jobs))]
-    shown = [name for name in asdict(outcomes[0]) if name not in ("best_on_data_sheet", "computing")]
-    table = Table(*[name.replace("_", " ") for name in shown], title=f"{len(cars)} cars, {minutes:g} minutes")
-    for outcome in outcomes:
-        values = asdict(outcome)
-        table.add_row(*[f"{values[n]:.3g}" if isinstance(values[n], float) else str(values[n]) for n in shown])
-    console.print(table)
+        outcomes = those.in_order(one_car, jobs, "cars")
+    show(f"{len(cars)} cars, {minutes:g} minutes", outcomes)
     return {**summarise(outcomes), "outcomes": [asdict(o) for o in outcomes]}

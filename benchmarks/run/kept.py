@@ -1,13 +1,15 @@
 """Results of a study's jobs, kept in a file as they come, so that a study that was stopped goes on."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.run.sources import source
-from benchmarks.run.spread import Say, Workers
+from benchmarks.run.spread import Workers
+from benchmarks.tables import as_line, say
 from steerkit._support.errors import require
 from steerkit._support.files import sync
 
@@ -37,23 +39,25 @@ def stored(file: Path) -> dict[str, Row]:
 
 
 def done(
-    function: Callable[[Any], Any], jobs: Sequence[Any], those: Workers, keep: Path | None, until: float, say: Say
-) -> Iterator[tuple[Any, Row]]:
-    """Each of `jobs` with its row: those that `keep` holds at once, then the others as they come, kept at once.
+    function: Callable[[Any], Any], jobs: Sequence[Any], those: Workers, keep: Path | None, until: float = math.inf
+) -> dict[Any, Row]:
+    """Each of `jobs` with its row: those that `keep` holds, and the others, said and kept as they come.
 
-    jobs: flat dataclasses; function: of one, returns a flat dataclass. until: the `time.monotonic` from which on none
-    is begun. Raises ValueError as `stored`.
+    jobs: dataclasses; function: of one, returns a flat dataclass. until: the `time.monotonic` from which on none is
+    begun. Raises ValueError as `stored`.
     """
     known = stored(keep) if keep else {}
-    yield from [(job, known[_name(job)]) for job in jobs if _name(job) in known]
-    left = [job for job in jobs if _name(job) not in known]
+    rows = {job: known[_name(job)] for job in jobs if _name(job) in known}
+    left = [job for job in jobs if job not in rows]
     if keep:
         keep.parent.mkdir(parents=True, exist_ok=True)
     for number, made in those.done(function, left, until=until, say=say):
-        row = json.loads(json.dumps(asdict(left[number]) | asdict(made) | {"code": source()}))
+        job = left[number]
+        rows[job] = json.loads(json.dumps(asdict(job) | asdict(made) | {"code": source()}))
         if keep:
-            append_line(keep, json.dumps({"job": _name(left[number]), "row": row}))
-        yield left[number], row
+            append_line(keep, json.dumps({"job": _name(job), "row": rows[job]}))
+        say(f"{len(rows)} of {len(jobs)}: {as_line(rows[job])}")
+    return {job: rows[job] for job in jobs if job in rows}
 
 
 def _name(job: Any) -> str:

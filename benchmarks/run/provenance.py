@@ -53,7 +53,7 @@ def scenarios(suites: Sequence[Suite], planned: Sequence[Job]) -> dict[str, dict
     for job in planned:
         if job.suite == TRAINING:
             training = TRAININGS[controller(job.controller).training]
-            names = ("minutes", "episodes", "episode_metres", "offline_iterations")
+            names = ("minutes", "episode_metres", "offline_iterations")
             fields = {name: getattr(training, name) for name in names}
             table[job.scenario] = facts(training.at(places.get(job.taught_on))) | fields
     used = {job.scenario for job in planned}

@@ -4,18 +4,14 @@ Part of the study `safety`. A departure is a run in which |e| exceeds 0.5 m afte
 counted in runs with the filter; those without it are for comparison, and a few seeds of each car will do.
 """
 
-import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.run.fleet import first_good
-from benchmarks.run.kept import done
-from benchmarks.run.sources import source
-from benchmarks.run.spread import Workers
+from benchmarks.run.kept import Row
 from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
@@ -33,22 +29,12 @@ class Job:
     minutes: float
     safe: bool
 
-    @property
-    def key(self) -> tuple[str, int, float, bool]:
-        """What tells it from others."""
-        return self.scenario.name or self.scenario.vehicle.plant, self.seed, self.minutes, self.safe
-
 
 @dataclass(frozen=True)
 class Learner:
     """What one learning run came to; times in seconds of driving, None where it did not happen."""
 
     car: str
-    seed: int
-    minutes: float
-    safe: bool
-    code: str
-    """A hash of the sources that it ran with."""
     max_e: float
     """Largest |e| after the first second [m]."""
     good: float | None
@@ -58,17 +44,6 @@ class Learner:
     """Samples of the last minute in which the learner's command was mixed with the backup's."""
     final_rms_e: float
     """Of the final net's test drive, which is without the filter; NaN: there is none."""
-    drive_s: float
-    """Computing time of the run, trainings included [s]."""
-    trainings_s: float
-    """That of the trainings."""
-    judging_s: float
-    """That of the nets' test drives."""
-
-    @property
-    def key(self) -> tuple[str, int, float, bool]:
-        """Which `Job` it is of."""
-        return self.car, self.seed, self.minutes, self.safe
 
 
 def one_run(job: Job) -> Learner:
@@ -81,62 +56,42 @@ def one_run(job: Job) -> Learner:
     def judged(net: Taken) -> TrialDrive:
         return drive_each(scenario, DEFAULT, [net.policy], seed=seed + 1000)[0]
 
-    began = time.perf_counter()
     final = judged(nets[-1]).summary if nets else None
     good = first_good(nets, judged) if job.safe else None
     last = (log.t >= log.t[-1] - 60.0) & (log["supervisor.learning"] > 0.5)
     share = log["safety.share"] if job.safe else np.zeros(len(log.t))
-    car, _, minutes, safe = job.key
     return Learner(
-        car=car,
-        seed=seed,
-        minutes=minutes,
-        safe=safe,
-        code=source(),
+        car=scenario.name,
         max_e=largest(log["path.e"][log.t > 1.0]),
         good=good,
         failures=trained.run.counts.failures,
         interventions_pct=100.0 * float(np.mean(share[last] > 0.0)) if last.any() else 100.0,
         final_rms_e=final.rms_e if final else float("nan"),
-        drive_s=trained.computing,
-        trainings_s=trained.run.counts.train_seconds,
-        judging_s=time.perf_counter() - began,
     )
 
 
-def runs(jobs: Sequence[Job], *, those: Workers, keep: Path | None, stop_after: float) -> Iterator[Learner]:
-    """The runs of `jobs`, kept as `kept.done` does.
-
-    those: who computes. stop_after [s]: after so long no other is begun.
-    """
-    for _, row in done(one_run, jobs, those, keep, time.monotonic() + stop_after, lambda text: None):
-        yield Learner(**{field.name: row[field.name] for field in fields(Learner)})
-
-
-def summarise(learners: Sequence[Learner]) -> dict[str, Any]:
-    """Counts, medians and worst cases over the runs; one that never got GOOD counts as infinite.
+def summarise(learners: Sequence[Row]) -> dict[str, Any]:
+    """Counts, medians and worst cases over the runs, as `kept.done` has them; one never GOOD counts as infinite.
 
     final_rms_x is over those that have a run without the filter of the same car and seed; NaN where none has.
     """
-    safe = [run for run in learners if run.safe]
-    free = {run.key[:3]: run for run in learners if not run.safe}
-    good = np.array([np.inf if run.good is None else run.good for run in safe])
-    ratios = [run.final_rms_e / free[run.key[:3]].final_rms_e for run in safe if run.key[:3] in free]
-    own = np.array([run.interventions_pct for run in safe])
+    safe = [run for run in learners if run["safe"]]
+    free = {(run["car"], run["seed"]): run for run in learners if not run["safe"]}
+    good = np.array([np.inf if run["good"] is None else run["good"] for run in safe])
+    pairs = [(run, free[run["car"], run["seed"]]) for run in safe if (run["car"], run["seed"]) in free]
+    ratios = [run["final_rms_e"] / other["final_rms_e"] for run, other in pairs]
+    own = np.array([run["interventions_pct"] for run in safe])
     return {
         "runs": len(safe),
-        "departures": sum(not run.max_e <= TRIP for run in safe),
-        "max_e": max((run.max_e for run in safe), default=float("nan")),
+        "departures": sum(not run["max_e"] <= TRIP for run in safe),
+        "max_e": max((run["max_e"] for run in safe), default=float("nan")),
         "runs_without": len(free),
-        "departures_without": sum(not run.max_e <= TRIP for run in free.values()),
+        "departures_without": sum(not run["max_e"] <= TRIP for run in free.values()),
         "good_median_s": float(np.median(good)) if len(safe) else float("nan"),
         "good_worst_s": float(good.max(initial=0.0)),
         "interventions_pct": float(own.max(initial=0.0)),
         "interventions_mean_pct": float(own.mean()) if len(safe) else float("nan"),
         "interventions_above_2_pct": int(np.sum(own > 2.0)),
         "final_rms_x": float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else float("nan"),
-        "seconds_a_run": float(np.mean([run.drive_s + run.judging_s for run in safe])) if safe else float("nan"),
-        "of_it_trainings": float(np.mean([run.trainings_s for run in safe])) if safe else float("nan"),
-        "of_it_judging": float(np.mean([run.judging_s for run in safe])) if safe else float("nan"),
-        "codes": len({run.code for run in learners}),
+        "codes": len({run["code"] for run in learners}),
     }

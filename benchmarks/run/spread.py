@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from benchmarks.run.sources import identity, source, versions
+from benchmarks.tables import as_line, say
 
 BACKENDS = ("loky", "dask")
 _PATIENCE = 3  # times that workers may die with nothing finished in between
@@ -170,6 +171,14 @@ class Workers:
                 say(f"a worker died; {len(left)} of {len(pieces)} are begun again")
             else:
                 return
+
+    def in_order(self, function: Callable[[Piece], Result], pieces: Sequence[Piece], what: str) -> list[Result]:
+        """The results of all pieces in their order; each is said as it comes. Raises as `done`."""
+        results = dict[int, Result]()
+        for number, result in self.done(function, pieces, say=say):
+            results[number] = result
+            say(f"{what} {len(results)} of {len(pieces)}: {as_line(result)}")
+        return [results[number] for number in range(len(pieces))]
 
 
 def _like_here(asking: str, function: Callable[[Piece], Result], number: int, piece: Piece) -> tuple[int, Result]:

@@ -36,8 +36,6 @@ class Training:
     """Course, car, disturbances; None: those of the scenario that is driven afterwards, a training each."""
     minutes: float = 6.0
     """Driving time [min]; recovery and waiting count."""
-    episodes: int = 1000
-    """Failures after which it ends."""
     episode_metres: float = 0.0
     """Distance after which an episode ends too, and is trained on [m]; 0: as the learner's setting has it."""
     offline_iterations: int = 0
@@ -95,9 +93,7 @@ def learn(training: Training, setting_name: str, *, seed: int, driven: Scenario 
     how = setting(setting_name)
     if training.episode_metres:
         how = replace(how, retrain_every_m=training.episode_metres)
-    experiment = Experiment(
-        setting=how, scenario=training.at(driven), minutes=training.minutes, episodes=training.episodes, seed=learns
-    )
+    experiment = Experiment(setting=how, scenario=training.at(driven), minutes=training.minutes, seed=learns)
     trained = train(experiment)
     run = trained.run
     nets = trained.nets + _offline(training, how, run, learns)

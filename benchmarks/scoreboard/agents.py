@@ -37,7 +37,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from benchmarks.run import kept, spread
@@ -507,11 +506,10 @@ def _never(seconds: float | None) -> float:
 
 
 def _done(jobs: Sequence[Job], options: argparse.Namespace) -> dict[Job, kept.Row]:
-    err, answered = Console(stderr=True), _good_before(jobs, options.keep) if options.keep else {}
+    answered = _good_before(jobs, options.keep) if options.keep else {}
     left = [job for job in jobs if job not in answered]
     with spread.computing(spread.where(options)) as those:
-        done = kept.done(one_run, left, those, options.keep, math.inf, err.print)
-        return answered | dict(track(done, total=len(left), description="agents", console=err))
+        return answered | kept.done(one_run, left, those, options.keep)
 
 
 def _good_before(jobs: Sequence[Job], file: Path) -> dict[Job, kept.Row]:

@@ -43,15 +43,13 @@ goes on after a stop.
 import argparse
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.foreign_cars import CARS, HOME, scene, told
 from benchmarks.run import changes, kept, spread
@@ -59,6 +57,7 @@ from benchmarks.run.changes import CHANGES, one_change
 from benchmarks.run.foreign_learning import TOLD as ANALYTIC
 from benchmarks.run.foreign_learning import Job as LearnerJob
 from benchmarks.run.foreign_learning import one_learner
+from benchmarks.tables import show, show_figures
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import radians_of
 from steerkit.metrics.signals import rms
@@ -263,36 +262,19 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "changes": (one_change, changes_figures),
     }
     until, report = time.monotonic() + 60.0 * options.at_most, dict[str, Any]()
-    say = partial(Console(stderr=True).print, soft_wrap=True, markup=False, highlight=False)
     keep, left, codes = Path(options.keep) if options.keep else None, 0, set[str]()
     with spread.computing(spread.where(options)) as those:
         for part in [part for part in PARTS if part in options.parts]:
             function, figures = how[part]
-            jobs, rows = jobs_of(part, options), dict[Any, kept.Row]()
-            for job, row in kept.done(function, jobs, those, keep, until, say):
-                rows[job] = row
-                say(f"{part} {len(rows)}/{len(jobs)}: {', '.join(map(_cell, row.values()))}")
+            jobs = jobs_of(part, options)
+            rows = list(kept.done(function, jobs, those, keep, until).values())
             left += len(jobs) - len(rows)
-            codes |= {row["code"] for row in rows.values()}
-            report |= figures([rows[job] for job in jobs if job in rows]) if rows else {}
-    console = Console(width=150)
-    for key, value in report.items():
-        if not isinstance(value, list):
-            console.print(f"{key:30s} {_cell(value)}", highlight=False)
+            codes |= {row["code"] for row in rows}
+            report |= figures(rows) if rows else {}
+    show_figures(report)
     if left:
-        console.print(f"{left} drives are left; the same command with --keep goes on")
+        print(f"{left} drives are left; the same command with --keep goes on")
     return report | {"left": left, "codes": len(codes)}
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-def _show(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    table = Table(*[name.replace("_", " ") for name in rows[0]], title=title)
-    for row in rows:
-        table.add_row(*map(_cell, row.values()))
-    Console(width=170).print(table)
 
 
 def _groups(rows: Iterable[kept.Row], *names: str) -> dict[tuple[Any, ...], list[kept.Row]]:
@@ -307,7 +289,7 @@ def recovery_figures(drives: Sequence[kept.Row]) -> dict[str, Any]:
     """Those of `auto`, and a row a controller, car, speed and dead time told."""
     names = ("controller", "car", "speed", "told")
     rows = [dict(zip(names, key)) | _recovered(group) for key, group in _groups(drives, *names).items()]
-    _show("recovery", rows)
+    show("recovery", rows)
     return {
         **_recovered([drive for drive in drives if drive["controller"] == AUTO]),
         "rows": rows,
@@ -340,7 +322,7 @@ def adaptive_figures(drives: Sequence[kept.Row]) -> dict[str, Any]:
             rows.append(row | {"rms_e_worst": max(map(max, pairs))})
     if not rows:
         return {}
-    _show("adaptive controllers, told a lag of 0.02 or 0.2 s", rows)
+    show("adaptive controllers, told a lag of 0.02 or 0.2 s", rows)
     return {"adaptive_spread": max(row["adaptive_spread"] for row in rows), "adaptive_rows": rows}
 
 
@@ -372,7 +354,7 @@ def learner_figures(runs: Sequence[kept.Row]) -> dict[str, Any]:
             row |= {name: float(np.median(values)), f"{name}_worst": float(values.max())}
         row |= {name: max(run[name] for run in group) for name in ("failures", "departure", "stuck")}
         rows.append(row | {"held_share": float(np.mean([run["held"] for run in group]))})
-    _show("learners", rows)
+    show("learners", rows)
     report = {
         "learners": len(runs),
         **good(runs),
@@ -396,7 +378,7 @@ def changes_figures(drives: Sequence[kept.Row]) -> dict[str, Any]:
         for drive in drives
         for n in range(len(drive["best"]))
     ]
-    _show("changes", rows)
+    show("changes", rows)
     return {
         "changes": len(rows),
         "changes_recovered_s": max(row["recovered"] for row in rows),

@@ -9,7 +9,7 @@ last one, not the best.
     python -m benchmarks study learning --setting default --seeds 10 --conditions hard [--quick] [--json]
 
 With --fleet N: N cars drawn from the fleet, each on a course of its own; with --cars KIND: cars with steering delays,
-at low or at high speed, one steered by torque, CommonRoad's multi-body car (`benchmarks.run.fleet`). With --backend
+at low or at high speed, CommonRoad's multi-body car (`benchmarks.run.fleet`). With --backend
 dask --address tcp://HOST:PORT the workers of a cluster do it; the figures are the same.
 """
 
@@ -18,16 +18,17 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 from benchmarks.run import spread
 from benchmarks.run.fleet import KINDS, fleet, of_fleet, of_kind
 from benchmarks.run.trials import drive_each, train
+from benchmarks.tables import show, show_figures
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
 from steerkit.scenario import Scenario
+
+LAST = 20
+"""So many of a run's last nets: how many of them hold a round?"""
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,8 @@ class Outcome:
     computing: float
 
 
-def one_seed(job: tuple[Experiment, int]) -> Outcome:
+def one_seed(experiment: Experiment) -> Outcome:
     """Run one seed, then test-drive its nets: the first GOOD one, the last ones, the final one."""
-    experiment, last = job
     trained = train(experiment)
     run, nets = trained.run, trained.nets
     policies = [net.policy for net in nets]
@@ -75,7 +75,7 @@ def one_seed(job: tuple[Experiment, int]) -> Outcome:
         failures=run.counts.failures,
         transitions=len(run.transitions),
         nets=len(trained.nets),
-        last_nets_hold=float(np.mean([d.held for d in drives[-last:]])) if nets else 0.0,
+        last_nets_hold=float(np.mean([d.held for d in drives[-LAST:]])) if nets else 0.0,
         final_holds=final is not None and final.held,
         final_rms_e=summary.rms_e if summary else nan,
         final_max_e=summary.max_e if summary else nan,
@@ -140,15 +140,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--conditions", default="clean", choices=["clean", "hard"])
     parser.add_argument("--course", default="paper")
-    parser.add_argument("--plant", default="nonlinear", choices=["nonlinear", "linear"])
-    parser.add_argument("--reference", default="front", choices=["front", "cg"])
-    parser.add_argument(
-        "--speed", default="wander", choices=["wander", "recorded"], help="recorded: as the lap was driven"
-    )
-    parser.add_argument("--v-max", type=float, default=None, help="fastest speed of the human [m/s]")
     parser.add_argument("--minutes", type=float, default=None, help="driving time of a run (default 11)")
-    parser.add_argument("--episodes", type=int, default=1000, help="failures after which a run ends")
-    parser.add_argument("--last", type=int, default=20, help="how many of the last nets are test-driven")
     spread.add_options(parser)
 
 
@@ -164,42 +156,20 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         rounds = 0.05 if options.quick else 1.0
         cars = of_kind(options.cars, course={"rounds": rounds}) if options.cars else of_fleet(options.fleet, rounds)
         return fleet(cars[:1] if options.quick else cars, seeds, how, five, where)
-    scenario = Scenario.under(options.conditions, course=options.course).with_(
-        vehicle={"plant": options.plant}, reference=options.reference
-    )
-    if options.v_max is not None:
-        scenario = scenario.with_(driver={"v_max": options.v_max})
-    scenario = scenario.with_(driver={"speed": options.speed})
+    scenario = Scenario.under(options.conditions, course=options.course)
     chosen = changed(setting(options.setting), options.changes)
-    base = Experiment(setting=chosen, scenario=scenario, minutes=minutes, episodes=options.episodes)
-    jobs = [(replace(base, seed=options.first_seed + n), options.last) for n in range(count)]
-    err = Console(stderr=True)
+    base = Experiment(setting=chosen, scenario=scenario, minutes=minutes)
+    jobs = [replace(base, seed=options.first_seed + n) for n in range(count)]
     with spread.computing(where) as those:
-        done = those.done(one_seed, jobs, say=err.print)
-        every = dict(track(done, total=len(jobs), description=options.setting, console=err))
-    outcomes = [every[number] for number in range(len(jobs))]
-    console = Console(width=170)
-    names = list(asdict(outcomes[0]))
-    title = f"{' '.join((options.setting, *options.changes))} on {options.course}, {options.conditions}"
-    table = Table(*[n.replace("_", " ") for n in names], title=title)
-    for o in outcomes:
-        table.add_row(*[_cell(v) for v in asdict(o).values()])
-    console.print(table)
+        outcomes = those.in_order(one_seed, jobs, options.setting)
+    show(f"{' '.join((options.setting, *options.changes))} on {options.course}, {options.conditions}", outcomes)
     result = {
         "setting": options.setting,
         "changes": options.changes,
         "course": options.course,
         "conditions": options.conditions,
-        "plant": options.plant,
-        "reference": options.reference,
-        "v_max": scenario.driver.v_max,
         "minutes": minutes,
         **summarise(outcomes, 660.0),
     }
-    for key, value in result.items():
-        console.print(f"{key:28s} {_cell(value)}")
+    show_figures(result)
     return {**result, "outcomes": [asdict(o) for o in outcomes]}
-
-
-def _cell(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -14,11 +14,9 @@ a sample takes beyond it are prediction over the delay, path ahead, linearisatio
 """
 
 import argparse
-import contextlib
-import os
 import statistics
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -38,7 +36,6 @@ from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import vehicle
 
 PASSES = 5
-SUBSTEPS = 2  # as many as the block's model takes at these speeds
 SAMPLES, TURN, KICK, KICK_EVERY = 500, 50, 0.8, 50
 CAR = NonlinearSingleTrack(vehicle=vehicle("vw-passat"), v0=5.0)
 MOTOR = SteeringActuator(delay=0.2, lag=0.1)
@@ -103,11 +100,6 @@ def raw_qp(block: PredictiveSteering) -> Callable[[], None]:
     return in_place(function, block.programme.found | {"raw": np.zeros(function.nnz_out(0))})
 
 
-def progress(items: Sequence[int], what: str) -> Iterable[int]:
-    """The items, with a bar on the error output."""
-    return track(items, what, console=Console(stderr=True))
-
-
 def measured(samples: int) -> dict[str, Any]:
     """All figures."""
     rows = recorded(samples)
@@ -121,7 +113,7 @@ def measured(samples: int) -> dict[str, Any]:
     raw = {name: raw_qp(blocks[name]) for name in ("ltv20", "nmpc20")}
     raw_times: dict[str, list[float]] = {name: [] for name in raw}
     unsolved = dict.fromkeys(blocks, 0)
-    for first in progress(range(0, samples, TURN), "our solvers"):
+    for first in track(range(0, samples, TURN), "solvers", console=Console(stderr=True)):
         for name, block in blocks.items():
             turn = runs[name][first : first + TURN]
             passes = [[timed(block.output, 0.0, x, u) for x, u in turn] for _ in range(PASSES)]
@@ -141,26 +133,13 @@ def measured(samples: int) -> dict[str, Any]:
     return figures
 
 
-@contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """What libraries (do-mpc's ipopt) write to the standard output goes to the error output."""
-    kept = os.dup(1)
-    os.dup2(2, 1)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     """It has no options of its own; --quick takes 50 samples."""
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure and print every figure beside what was asked for."""
-    with quiet():
-        figures = measured(TURN if options.quick else SAMPLES)
+    figures = measured(TURN if options.quick else SAMPLES)
     for name, value in figures.items():
         goal = f"   needed < {NEEDED[name]:g}" if name in NEEDED else ""
         print(f"{name:28s} {value:10.4g}{goal}")

@@ -31,13 +31,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.judges.opendbc_safety import SafetyJudge
 from benchmarks.run import spread
 from benchmarks.run.production import PortedCar, ProductionWorld, config_of
 from benchmarks.run.production import altered as altered_frame
+from benchmarks.tables import show
 from steerkit.car import loop as loops
 from steerkit.car.core import RESEND
 from steerkit.car.gate import gate
@@ -462,17 +461,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         jobs["attacked"] = (partial(attacked, waits=0.6, steers=0.5), jobs["attacked"][1][:1])
         jobs["faults"] = (partial(faulty, before=0.5, after=0.5), jobs["faults"][1][:1])
     rows: dict[str, list[dict[str, Any]]] = {}
-    console = Console(stderr=True)
     with spread.computing(spread.where(options)) as those:
         for part in options.parts:
-            function, pieces = jobs[part]
-            kept: dict[int, dict[str, Any]] = {}
-            for number, row in those.done(function, pieces):
-                kept[number] = row
-                told = ", ".join([f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()])
-                console.print(f"{part} {len(kept)} of {len(pieces)}: {told}", highlight=False, soft_wrap=True)
-            rows[part] = [kept[number] for number in sorted(kept)]
-            _show(part, rows[part])
+            rows[part] = those.in_order(*jobs[part], part)
+            show(part, rows[part])
     return _figures(rows) | {"rows": rows}
 
 
@@ -501,12 +493,3 @@ def _figures(rows: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
         "update_ms": float(np.median([row["update_ms"] for row in drives])) if drives else math.nan,
         "apply_ms": float(np.median([row["apply_ms"] for row in drives])) if drives else math.nan,
     }
-
-
-def _show(part: str, rows: list[dict[str, Any]]) -> None:
-    table = Table(title=part, title_justify="left")
-    for name in rows[0]:
-        table.add_column(name)
-    for row in rows:
-        table.add_row(*[f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values()])
-    Console(width=200).print(table)

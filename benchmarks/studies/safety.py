@@ -33,20 +33,18 @@ import re
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.foreign_cars import WIDE
-from benchmarks.run import spread
+from benchmarks.run import kept, spread
 from benchmarks.run.fleet import of_fleet, of_kind
-from benchmarks.run.safe_learning import Job, Learner, runs, summarise
+from benchmarks.run.safe_learning import Job, one_run, summarise
 from benchmarks.studies.car_realtime import drive
+from benchmarks.tables import as_line, say, show, show_figures
 from steerkit._support.native import compiler
 from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
@@ -119,41 +117,15 @@ class Beside(Wrapper):
 
 
 def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...]) -> dict[str, Any]:
-    """Largest |e| of each adversary at each speed, the worse of both ratios; and what lateral acceleration it takes."""
-    beyond = [0.0]
-
-    def driven(kind: str, scenario: Scenario) -> float:
-        log = against(Adversary(kind=kind), scenario, seconds, LATE)
-        bends = scenario.driver.v_max**2 * np.abs(log["path.kappa"])
-        beyond.append(float((np.abs(log["car.a_y"]) - np.maximum(bends, 3.0)).max()))
-        return largest(log["path.e"])
-
-    worst, table = by_speed(kinds, speeds, OFF, driven)
-    return {"adversary_max_e": worst, "adversary_a_y_beyond": max(beyond), "adversaries": table}
-
-
-def by_speed(
-    kinds: Iterable[str],
-    speeds: Iterable[float],
-    changes: Mapping[str, Any],
-    furthest: Callable[[str, Scenario], float],
-) -> tuple[float, dict[str, dict[str, float]]]:
-    """The largest |e| of all, and that of each kind at each speed, the worse of ratios 10 % off either way [m].
-
-    changes: other fields of the scenario, which is `hard` on the paper's course. furthest: the largest |e| of a drive.
-    """
+    """Largest |e| of each adversary at each speed [m], the worse of ratios 10 % off either way."""
     table: dict[str, dict[str, float]] = {}
     for kind in kinds:
         row = table.setdefault(kind, {})
         for v in speeds:
-            cars = [
-                Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v}, **changes).with_(
-                    vehicle={"ratio": r}
-                )
-                for r in (0.9, 1.1)
-            ]
-            row[f"{v:g} m/s"] = max(furthest(kind, car) for car in cars)
-    return max(value for row in table.values() for value in row.values()), table
+            car = Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v}, **OFF)
+            drives = [against(Adversary(kind=kind), car.with_(vehicle={"ratio": r}), seconds, LATE) for r in (0.9, 1.1)]
+            row[f"{v:g} m/s"] = max(largest(log["path.e"]) for log in drives)
+    return {"adversary_max_e": max(value for row in table.values() for value in row.values()), "adversaries": table}
 
 
 def against(driver: Block, scenario: Scenario, seconds: float, late: float, **settings: Any) -> Log:
@@ -269,30 +241,25 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, Any]:
-    console, quick, report = Console(width=150), options.quick, dict[str, Any]()
+    quick, report = options.quick, dict[str, Any]()
     if "adversaries" in options.parts:
         report |= adversaries(2.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
-        for kind, row in report["adversaries"].items():
-            console.print(f"{kind:16s} max |e|", "  ".join(f"{v}: {e:.3f} m" for v, e in row.items()))
+        show("adversaries: largest |e| [m]", [{"kind": kind} | row for kind, row in report["adversaries"].items()])
     if "narrowing" in options.parts:
         report |= narrowing(2.0, (5.0,), 1.0) if quick else narrowing(40.0, (3.0, 5.0, 8.0))
-        for speed, row in report["narrowing"].items():
-            console.print(f"0.42 m beside, {speed}:", ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
+        show("0.42 m beside the path", [{"at": speed} | row for speed, row in report["narrowing"].items()])
     if "beyond" in options.parts:
         doubts = (2.0,) if quick else (0.6, 1.0, 2.0, 3.0)
         kinds, speeds = (KINDS[:1], (5.0,)) if quick else (HOSTILE, (3.0, 7.0, 15.0))
         report |= beyond(2.0 if quick else 15.0, kinds, speeds, doubts, options.first_seed)
-        for row in report["beyond"]:
-            console.print(f"{row['v']:g} m/s, {row['doubts']:g} x off:", {k: round(row[k], 3) for k in list(row)[2:]})
+        show("cars beyond the doubts: largest |e| [m]", report["beyond"])
     if "cost" in options.parts:
         report |= cost(1.0, "-O0", horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
     if "learners" in options.parts:
-        report |= learners(options, those, console)
+        report |= learners(options, those)
     if "car" in options.parts:
         report |= on_the_car(1 if quick else options.drives, 0.03 if quick else options.minutes, options.first_seed)
-    for key, value in report.items():
-        if not isinstance(value, (dict, list)):
-            console.print(f"{key:26s} {value:.4g}" if isinstance(value, float) else f"{key:26s} {value}")
+    show_figures(report)
     return report
 
 
@@ -302,8 +269,7 @@ def on_the_car(drives: int, minutes: float, first_seed: int) -> dict[str, Any]:
     for seed in range(first_seed, first_seed + drives):
         with tempfile.TemporaryDirectory() as folder:
             rows.append(drive("learn", minutes, 1.0, Path(folder), safe=True, seed=seed))
-        said = ("max_e_m", "interventions_pct", "failures", "nets", "longest_step_ms", "misses", "faults", "lost")
-        print(f"drive {seed}:", ", ".join(f"{name} {rows[-1][name]}" for name in said), flush=True)
+        say(f"drive {seed}: {as_line(rows[-1])}")
     asked, same = (sum(row[name] for row in rows) for name in ("requests", "requests_replayed_exactly"))
     return {
         "car_drives": len(rows),
@@ -318,7 +284,7 @@ def on_the_car(drives: int, minutes: float, first_seed: int) -> dict[str, Any]:
     }
 
 
-def learners(options: argparse.Namespace, those: spread.Workers, console: Console) -> dict[str, Any]:
+def learners(options: argparse.Namespace, those: spread.Workers) -> dict[str, Any]:
     """All runs of the learners, seed by seed through the cars, so that a study that is stopped has all of them."""
     quick, course = options.quick, "circle" if options.quick else "paper"  # each net is judged over a round
     cars = [Scenario.under("hard", course=course, name="single track")]
@@ -331,15 +297,10 @@ def learners(options: argparse.Namespace, those: spread.Workers, console: Consol
         for safe in ((True, False) if seed - options.first_seed < options.compare else (True,))
         for car in cars
     ]
-    keep, made, err = Path(options.keep) if options.keep else None, list[Learner](), Console(stderr=True)
-    for run in runs(jobs, those=those, keep=keep, stop_after=60.0 * options.at_most):
-        made.append(run)
-        said = f"max |e| {run.max_e:.3f} m, GOOD after {run.good} s" if run.safe else f"without: {run.max_e:.3f} m"
-        err.print(f"{len(made)}/{len(jobs)} {run.car}, seed {run.seed}: {said}", soft_wrap=True)
-    table = Table(*[field.name.replace("_", " ") for field in fields(Learner)])
-    for run in made:
-        table.add_row(*[f"{v:.3g}" if isinstance(v, float) else str(v) for v in asdict(run).values()])
-    console.print(table)
+    keep, until = Path(options.keep) if options.keep else None, time.monotonic() + 60.0 * options.at_most
+    made = list(kept.done(one_run, jobs, those, keep, until).values())
+    if made:
+        show("learners", made)
     if len(made) < len(jobs):
-        console.print(f"{len(jobs) - len(made)} of {len(jobs)} runs are left; the same command with --keep goes on")
-    return summarise(made) | {"outcomes": [asdict(run) for run in made]}
+        print(f"{len(jobs) - len(made)} of {len(jobs)} runs are left; the same command with --keep goes on")
+    return summarise(made) | {"outcomes": made}

@@ -62,4 +62,3 @@ def test_every_kind_of_car_starts_where_it_is_straight_and_can_be_told_the_truth
             assert abs(car.path().kappa(car.course.start)) < 0.01
             assert car.with_(knowledge={"oracle": True}).design_model().gain == car.steering.gain
     assert [car.steering.delay for car in of_kind("delays")] == list(fleet.DELAYS)
-    assert {car.steering.gain for car in of_kind("torque")} == {0.75, 1.25}

@@ -46,7 +46,7 @@ def drive(job: Any) -> Made:
 
 
 def rows(pool: Any, keep: Path | None, *seeds: int, kind: Any = Job) -> list[Any]:
-    return list(done(drive, [kind(seed) for seed in seeds], pool, keep, math.inf, print))
+    return list(done(drive, [kind(seed) for seed in seeds], pool, keep).items())
 
 
 def test_a_stopped_study_goes_on_where_it_was(tmp_path: Path) -> None:

@@ -34,6 +34,15 @@ def test_every_piece_once_with_its_number(processes: int) -> None:
         assert sorted(those.done(twice, [5, 7, 9])) == [(0, 10), (1, 14), (2, 18)]
 
 
+def test_results_come_in_the_order_of_the_pieces_and_each_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    finished = [(1, {"e": 0.25}), (0, {"e": 0.5})]
+    monkeypatch.setattr(Workers, "done", lambda *_, **__: iter(finished))
+    assert Workers().in_order(twice, [5, 7], "drives") == [{"e": 0.5}, {"e": 0.25}]
+    assert capsys.readouterr().err == "drives 1 of 2: e 0.25\ndrives 2 of 2: e 0.5\n"
+
+
 def test_no_more_processes_than_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     import joblib
 

@@ -159,7 +159,7 @@ def sensible(name: str, f: Any) -> None:
             assert (f["good"], f["refused"]) == (log["good"], 0)  # after one update it is good on some processors only
             assert 0.001 < log["rms_e"] < 0.5
         case "gym_steps":
-            assert all(rate > 0.0 for rates in f["steps_per_cpu_second"].values() for rate in rates.values())
+            assert min(f["steps_per_cpu_second"].values()) > 0.0
             assert f["x_sync_vector_env"] > 3.0
         case "proving":
             assert f["closed_form_error_pct"] < 1.0
