@@ -6,7 +6,6 @@ server's core, gate and port (judged by opendbc's safety code in C); the kills a
 """
 
 import contextlib
-import json
 import math
 import os
 import signal
@@ -21,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.run.production import ProductionWorld
-from benchmarks.studies.car_realtime import attended
+from benchmarks.studies.car_realtime import attended, heard_by
+from benchmarks.tables import as_line, say
 from steerkit._support.clock import Clock
 from steerkit.car import loop as loops
 from steerkit.car import processes
@@ -297,7 +297,7 @@ class Killed:
                 at = time.monotonic()
                 os.kill(child.pid if victim == "controller" else server.pid, signal.SIGKILL)
                 time.sleep(REPORTS)
-                after = [line for line in self.lines() if line["t"] > at]
+                after = [line for line in heard_by(self.log) if line["t"] > at]
                 heard = [line["t"] - at for line in after if line.get("enable") == 1]
                 on = [line["t"] - at for line in after if line.get("enabled") is True]
                 row["silent_s"] = max([0.0, *heard])
@@ -312,11 +312,6 @@ class Killed:
         except ValueError as error:
             row |= {"readable": False, "cause": str(error)}
         return row
-
-    def lines(self) -> list[dict[str, Any]]:
-        """What the simulated car has written down so far."""
-        lines = self.log.read_text(encoding="utf-8").splitlines()[-2000:]
-        return [json.loads(line) for line in lines if line.endswith("}")]
 
     def down(self) -> None:
         """End the simulated car."""
@@ -355,13 +350,13 @@ def prove(file: str, socket: str, name: str, car: str) -> None:
             realtime.run(resting, timer=Clock(), watch=watch, on_miss=lambda live: loops.count_misses(live, link))
 
 
-def measure(quick: bool = False, say: Callable[[str], None] = print) -> dict[str, Any]:
+def measure(quick: bool) -> dict[str, Any]:
     """Everything, or with `quick` one manoeuvre of the kit to one side, an abort and a kill; rows are under `rows`."""
     rows: dict[str, list[dict[str, Any]]] = {"driven": [], "aborted": [], "killed": []}
 
     def done(part: str, row: dict[str, Any]) -> None:
         rows[part].append(row)
-        say(f"{part}: " + ", ".join(f"{k} {x:.3g}" if isinstance(x, float) else f"{k} {x}" for k, x in row.items()))
+        say(f"{part}: {as_line(row)}")
 
     wanted = QUICK if quick else names()
     for car in [KIT] if quick else CARS:

@@ -31,10 +31,10 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.signal import butter, filtfilt
 
+from benchmarks.tables import show, show_figures
 from steerkit.diagram.maths import Array
 from steerkit.identification import Drive, shipped_drives
 from steerkit.identification.ahead import HORIZONS, look_ahead
@@ -276,14 +276,13 @@ def add_options(parser: Any) -> None:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """The figures: see the module."""
-    console = Console()
     seeds, noises = (1, NOISE[1:2]) if options.quick else (options.drives, NOISE)
     rows, seconds, covered = list[dict[str, Any]](), list[float](), list[bool]()
     held: dict[str, dict[str, float]] = {}
     those = range(options.first_drive, options.first_drive + seeds)
     jobs = [(kind, seed) for seed in those for kind in kinds(seed) if not options.quick or kind.tyres]
     jobs = jobs[-2:-1] if options.quick else jobs
-    for kind, seed in track(jobs, "identifying", console=console, disable=options.quick):
+    for kind, seed in track(jobs, "identifying", console=Console(stderr=True)):
         true, ratio = driven(kind, seed, TRAIN + REST), float(kind.vehicle.steer_ratio)
         for noise in noises:
             log = recorded(true, noise, seed, ratio)
@@ -333,21 +332,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "sysid_seconds_lap": max(lap_seconds, default=float("nan")),
         "sysid_drives": rows,
     }
-    _tables(console, figures)
+    show("over nonlinear least squares", rows)
+    if on_laps:
+        show(
+            "with the residual over without, 0.5 s ahead",
+            [{"held out": name} | found for name, found in on_laps.items()],
+        )
+    show_figures(figures)
     return figures
-
-
-def _tables(console: Console, figures: dict[str, Any]) -> None:
-    table = Table("car", "noise", "one step", "1 s", "filtered", "filtered, 1 s", title="over nonlinear least squares")
-    for car, noise in sorted({(row["car"], row["noise"]) for row in figures["sysid_drives"]}):
-        rows = [row for row in figures["sysid_drives"] if (row["car"], row["noise"]) == (car, noise)]
-        columns = ("step", "second", "step_filtered", "second_filtered")
-        table.add_row(car, f"{noise:g}", *(f"{_mean([row[column] for row in rows]):.3f}" for column in columns))
-    console.print(table)
-    table = Table("held out", *JUDGED, "all", title="with the residual over without, 0.5 s ahead")
-    for name, ratios in figures["residual_laps"].items():
-        table.add_row(name, *(f"{ratios[q]:.2f}" for q in (*JUDGED, "all")))
-    console.print(table)
-    for key, value in figures.items():
-        if isinstance(value, (float, str)):
-            console.print(f"{key}: {value:.3g}" if isinstance(value, float) else f"{key}: {value}", highlight=False)

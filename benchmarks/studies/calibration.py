@@ -21,12 +21,15 @@ car, from the first second on.
 import argparse
 import statistics
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.progress import track
 
+from benchmarks.tables import as_line, say, show, show_figures
 from benchmarks.wrong_belief import driven, wrong_belief
 from steerkit.compiled import Backend, compile
 from steerkit.diagram.block import Block
@@ -163,7 +166,7 @@ def fed(name: str, u: Mapping[str, Any], y: Mapping[str, Any]) -> dict[str, Any]
     return always | command | way | {"delay_deviation": source.delay_lag_deviation}
 
 
-def estimated(drives: list[Drive], at: list[float], say: Callable[[str], None]) -> dict[float, dict[str, Any]]:
+def estimated(drives: list[Drive], at: list[float]) -> dict[float, dict[str, Any]]:
     """The outputs of all estimators at these times [s], each an array over the drives; all drives run as one batch."""
     blocks = estimators(all_cars([drive.scenario.nominal for drive in drives]))
     signals = {name: np.array([drive.signals[name] for drive in drives]).T.copy() for name in drives[0].signals}
@@ -175,7 +178,6 @@ def estimated(drives: list[Drive], at: list[float], say: Callable[[str], None]) 
         y = {name: block.output(k * DT, x[name], ()) for name, block in blocks.items()}
         if k in ticks:
             found[ticks[k]] = y
-            say(f"{ticks[k]:g} s")
         if k == max(ticks):
             return found
         u = {name: values[k] for name, values in signals.items()}
@@ -189,12 +191,9 @@ def drives(options: argparse.Namespace) -> dict[str, Any]:
     """Errors and coverage over drawn drives."""
     count, times = (4, [12.0]) if options.quick else (options.drives, list(TIMES))
     backend: Backend = "python" if options.quick else "auto"  # of so short a drive, gcc would take most of the time
-    every = []
-    for number in range(options.first, options.first + count):
-        every.append(drawn(number, times[-1] + 1.0, backend))
-        if len(every) % 20 == 0:
-            print(f"  {len(every)} drives driven", flush=True)
-    found = estimated(every, times, lambda what: None)
+    numbers = track(range(options.first, options.first + count), "drives", console=Console(stderr=True))
+    every = [drawn(number, times[-1] + 1.0, backend) for number in numbers]
+    found = estimated(every, times)
     names = list(every[0].truth)
     truth = {name: np.array([drive.truth[name] for drive in every]) for name in names}
     said = {t: {name: quantity(found[t][name.split(".")[0]], name.split(".")[1]) for name in names} for t in times}
@@ -226,14 +225,13 @@ def drives(options: argparse.Namespace) -> dict[str, Any]:
         ("friction", "friction.friction", 119.0, 100.0 / truth["friction.friction"], "%"),
         ("play, of 0.5 deg or more", "play.play", 119.0, 100.0 / truth["play.play"], "%"),
     ]
-    print(f"\n{count} drives{'':18}{'after':>8}{'median':>10}{'90 %':>10}{'':7}{'valid':>7}{'covered':>9}")
     table = {}
     for label, name, seconds, factor, unit in shown:
         t = after(seconds)
         scaled = factor * error[t][name]
         if name == "play.play" and (truth[name] >= radians_of(0.5)).any():
             scaled = scaled[truth[name] >= radians_of(0.5)]
-        row = {
+        table[label] = {
             "after_s": t,
             "median": float(np.median(scaled)),
             "p90": float(np.quantile(scaled, 0.9)),
@@ -241,19 +239,12 @@ def drives(options: argparse.Namespace) -> dict[str, Any]:
             "valid_share": float(np.mean(said[t][name].valid)),
             "coverage_pct": 100.0 * float(covered[t][name]),
         }
-        table[label] = row
-        print(
-            f"{label:28}{t:6.0f} s{row['median']:10.2f}{row['p90']:10.2f} {unit:6}{row['valid_share']:7.0%}"
-            f"{covered[t][name]:9.0%}",
-            flush=True,
-        )
+    show(f"{count} drives", [{"quantity": label} | row for label, row in table.items()])
     end = after(60.0)
     return {
         "delay_error_ms": table["delay + lag, wheel"]["p90"],
         "delay_yaw_error_ms": table["delay + lag, yaw rate"]["p90"],
-        "delay_yaw_within_10_ms_pct": 100.0 * float(np.mean(error[after(30.0)]["yaw.delay_lag"] <= CLOSE)),
         "delay_seconds": soon("wheel.delay_lag"),
-        "delay_yaw_seconds": soon("yaw.delay_lag"),
         "offset_error_deg": table["offset, wheel"]["p90"],
         "offset_command_error_deg": table["offset, command"]["p90"],
         "ratio_error_pct": table["ratio, wheel"]["p90"],
@@ -261,7 +252,6 @@ def drives(options: argparse.Namespace) -> dict[str, Any]:
         "friction_error_pct": table["friction"]["p90"],
         "play_error_pct": table["play, of 0.5 deg or more"]["p90"],
         "coverage_pct": 100.0 * float(np.mean([covered[end][name] for name in names])),
-        "coverage_by_quantity_pct": {name: 100.0 * float(covered[end][name]) for name in names},
         "table": table,
         "drives": count,
     }
@@ -271,11 +261,6 @@ def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
     """An adaptive MPC with wrong beliefs against ones that do not adapt, with those or true parameters."""
     cars, seconds = (1, 16.0) if options.quick else (options.cars, 60.0)
     rows: list[dict[str, Any]] = []
-    print("\nMPC with wrong beliefs; RMS e from half of the time on [m], largest |e|, RMS wheel speed [deg/s]")
-    print(
-        f"{'car':>6}{'delay':>7}{'ratio':>7}{'offset':>8}{'oracle':>16}{'adapts':>22}"
-        f"{'does not':>18}{'x':>7}{'wheel x':>9}"
-    )
     for number in range(options.first, options.first + cars):
         wrong, true = wrong_belief(number)
         drive = partial(driven, seed=number, seconds=seconds)
@@ -283,22 +268,18 @@ def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
         fixed = min((drive(name, wrong) for name in ("mpc", "mpc-offset-free")), key=lambda one: one.rms_e)
         row: dict[str, Any] = {
             "car": number,
+            "delay_off": wrong.believed_dead_time - true.believed_dead_time,
+            "ratio": true.vehicle.ratio,
+            "offset_deg": true.steering.offset_deg,
             "x": adapts.rms_e / truth.rms_e,
             "wheel_x": adapts.rms_wheel_deg / truth.rms_wheel_deg,
             "unadapted_x": adapts.rms_e / fixed.rms_e,
-            "oracle": asdict(truth),
-            "adapts": asdict(adapts),
-            "unadapted": asdict(fixed),
+            "max_e": adapts.max_e,
+            "rms_e_oracle": truth.rms_e,
         }
         rows.append(row)
-        late = wrong.believed_dead_time - true.believed_dead_time
-        print(
-            f"{number:6}{late:+7.1f}{true.vehicle.ratio:7.2f}{true.steering.offset_deg:+8.1f}"
-            f"{truth.rms_e:10.4f}{truth.max_e:6.2f}"
-            f"{adapts.rms_e:10.4f}{adapts.max_e:6.2f}{adapts.rms_wheel_deg:6.0f}{fixed.rms_e:12.4f}{fixed.max_e:6.2f}"
-            f"{row['x']:7.2f}{row['wheel_x']:9.2f}",
-            flush=True,
-        )
+        say(as_line(row))
+    show("MPC with wrong beliefs: over that with true parameters, and over those that do not adapt", rows)
     x, wheel = ([row[key] for row in rows] for key in ("x", "wheel_x"))
     report = {
         "adaptive_x_oracle": statistics.median(x),
@@ -306,10 +287,9 @@ def closed_loop(options: argparse.Namespace) -> dict[str, Any]:
         "adaptive_wheel_x": statistics.median(wheel),
         "adaptive_wheel_worst_x": max(wheel),
         "adaptive_x_unadapted_worst": max(row["unadapted_x"] for row in rows),
-        "adaptive_max_e_m": max(row["adapts"]["max_e"] for row in rows),
+        "adaptive_max_e_m": max(row["max_e"] for row in rows),
     }
-    print(", ".join(f"{name} {value:.3f}" for name, value in report.items()))
-    return {**report, "adaptive_cars": rows}
+    return report | {"adaptive_cars": rows}
 
 
 PARTS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {"drives": drives, "closed_loop": closed_loop}
@@ -330,4 +310,5 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     report: dict[str, Any] = {}
     for part in options.parts:
         report |= PARTS[part](options)
+    show_figures(report)
     return report

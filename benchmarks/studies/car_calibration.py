@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
+from benchmarks.tables import as_line, say, show
 from steerkit.car import protocol
 from steerkit.car.calibration import Guided
 from steerkit.car.config import load
@@ -172,7 +173,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Drive and print."""
     cars, minutes = (1, 0.2) if options.quick else (options.cars, options.minutes)
     rows: list[dict[str, Any]] = []
-    print(f"{'car':>4}{'faults':>8}{'worst e':>9}   " + "".join(f"{text:>30}" for text, _, _ in SHOWN.values()))
     for seed in range(options.first, options.first + cars):
         yard = Yard(seed, minutes)
         found = yard.calibrated(240.0 * minutes)
@@ -183,22 +183,17 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             row[name] = {"truth": true, "value": q.value, "low": q.low, "high": q.high, "valid": q.valid > 0.5}
             row[name] |= {"error": factor * (q.value - true), "holds": bool(q.low <= true <= q.high)}
         rows.append(row)
-        texts = [
-            f"{row[n]['error']:+.2f} {u} {'' if row[n]['holds'] else 'OUTSIDE '}{'' if row[n]['valid'] else '?'}"
-            for n, (_, _, u) in SHOWN.items()
-        ]
-        print(
-            f"{seed:4d}{len(yard.faults):8d}{yard.worst:9.2f}   " + "".join(f"{text:>30}" for text in texts), flush=True
-        )
+        say(f"{as_line(row)}; errors: {as_line({name: row[name]['error'] for name in SHOWN})}")
     figures: dict[str, Any] = {"cars": cars, "minutes": minutes, "rows": rows}
     figures["faults"] = sum(len(row["faults"]) for row in rows)
     figures["worst_e_m"] = max(row["worst_e_m"] for row in rows)
     figures["coverage_pct"] = 100.0 * float(np.mean([row[name]["holds"] for row in rows for name in SHOWN]))
-    print(f"\n{'':20}{'median':>10}{'worst':>10}{'':8}{'valid':>7}{'covered':>9}")
+    table = []
     for name, (text, _, unit) in SHOWN.items():
         errors = np.abs([row[name]["error"] for row in rows])
-        share, holds = (float(np.mean([row[name][key] for row in rows])) for key in ("valid", "holds"))
+        share, holds = (100.0 * float(np.mean([row[name][key] for row in rows])) for key in ("valid", "holds"))
         figures[f"{name}_error"] = {"median": float(np.median(errors)), "worst": float(errors.max()), "unit": unit}
-        figures[f"{name}_valid_pct"] = 100.0 * share
-        print(f"{text:20}{np.median(errors):10.2f}{errors.max():10.2f} {unit:7}{share:7.0%}{holds:9.0%}")
+        figures[f"{name}_valid_pct"] = share
+        table.append({"error": text, **figures[f"{name}_error"], "valid_pct": share, "covered_pct": holds})
+    show(f"{cars} cars", table)
     return figures

@@ -24,7 +24,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks.studies.car_realtime import attended, engage
+from benchmarks.studies.car_realtime import attended, engage, heard_by
+from benchmarks.tables import as_line, say
 from steerkit._support.clock import Clock
 from steerkit._support.files import write_text
 from steerkit.car import processes
@@ -135,9 +136,7 @@ class Bench:
         row: dict[str, Any] = {"victim": victim, "mode": mode}
         if victim == "trainer":
             return row | self._after_trainer(killed, pid)
-        heard = [
-            json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines()[-400:] if line.endswith("}")
-        ]
+        heard = heard_by(self.log)
         after = [h["t"] - killed for h in heard if h.get("enable") == 1 and h["t"] > killed]
         row["silent_after_ms"] = 1e3 * max(after, default=0.0)
         row["heard_before_ms"] = 1e3 * min(
@@ -162,8 +161,7 @@ class Bench:
             frames, same = recordings.replayed_exactly(recorded, Core(recordings.config_of(recorded)))
         except ValueError as error:
             return {"ok_recording": False, "why": str(error)}
-        heard = [json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
-        last_heard = max(h["t"] for h in heard if "enable" in h)
+        last_heard = max(h["t"] for h in heard_by(self.log) if "enable" in h)
         lost = last_heard - max(v["t"] for v in recorded.of("/can/tx")) if cut else 0.0
         ok = same >= frames - 1 and lost <= 1.0
         return {"ok_recording": ok, "recorded_frames": frames, "replayed": same, "recording_lost_s": max(0.0, lost)}
@@ -173,10 +171,7 @@ class Bench:
         end = time.monotonic() + 30.0
         while time.monotonic() < end and self.state().get("trainer") in (None, pid):
             time.sleep(0.2)
-        heard = [
-            json.loads(line) for line in self.log.read_text(encoding="utf-8").splitlines()[-2000:] if line.endswith("}")
-        ]
-        times = [h["t"] for h in heard if h.get("enable") == 1 and killed - 0.5 <= h["t"] <= killed + 0.5]
+        times = [h["t"] for h in heard_by(self.log) if h.get("enable") == 1 and killed - 0.5 <= h["t"] <= killed + 0.5]
         gap = max((b - a for a, b in pairwise(times)), default=9.0)
         back = self.state().get("trainer") not in (None, pid)
         return {"longest_gap_ms": 1e3 * gap, "ok_bus": gap <= LIMIT, "ok_resumed": back}
@@ -207,7 +202,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         try:
             for n in range(kills):
                 rows.append(bench.kill(victims[n % len(victims)]))
-                print(n + 1, rows[-1], flush=True)
+                say(f"{n + 1} of {kills}: {as_line(rows[-1])}")
         except Exception:
             print((Path(folder) / "text.log").read_text(encoding="utf-8")[-3000:])
             raise

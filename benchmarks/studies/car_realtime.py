@@ -26,6 +26,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from benchmarks.tables import show, show_figures
 from steerkit._support.clock import Clock
 from steerkit.car import loop as loops
 from steerkit.car import processes, protocol
@@ -42,7 +43,7 @@ from steerkit.task import DT
 
 
 @contextlib.contextmanager
-def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
+def attended(socket_path: str) -> Iterator[None]:
     """Says, as an operator's panel does, that keys are read; for simulated cars only, where nobody has to let go.
 
     A car server that ends is waited for: another may come.
@@ -52,7 +53,7 @@ def attended(socket_path: str, *, time_scale: float = 1.0) -> Iterator[None]:
     def beat() -> None:
         while not over.wait(0.05):
             with contextlib.suppress(CarLost), CarClient(socket_path, controller=False) as link:
-                while not over.wait(0.05 / time_scale):
+                while not over.wait(0.05):
                     link.note(protocol.Beat())
 
     thread = threading.Thread(target=beat, name="operator", daemon=True)
@@ -80,10 +81,15 @@ def engage(socket_path: str, *, timeout: float = 20.0) -> None:
             time.sleep(0.05)
 
 
+def heard_by(log: Path) -> list[dict[str, Any]]:
+    """What a simulated car has written down of what goes over the bus; not a last line that is half written."""
+    lines = log.read_text(encoding="utf-8").splitlines()
+    return [json.loads(line) for line in lines if line.endswith("}")]
+
+
 def drive(
     controller: str,
     minutes: float,
-    scale: float,
     folder: Path,
     *,
     fifo: bool = False,
@@ -94,15 +100,15 @@ def drive(
     """One drive; its figures. safe: a learner's safety filter. seed: of the learner's nets and the human's speed."""
     config = load("dbw-kit.toml")
     socket, place, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
-    simulated, channel = processes.start_simulated("dbw-kit.toml", time_scale=scale, log=str(log), seed=seed)
+    simulated, channel = processes.start_simulated("dbw-kit.toml", log=str(log), seed=seed)
     with (folder / "server.log").open("w", encoding="utf-8") as text:
         server = processes.start_car_server(
-            "dbw-kit.toml", socket, recording=str(place), channel=channel, time_scale=scale, realtime=fifo, log=text
+            "dbw-kit.toml", socket, recording=str(place), channel=channel, realtime=fifo, log=text
         )
     beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
     granted = ""
     try:
-        with attended(socket, time_scale=scale), CarClient(socket) as link:
+        with attended(socket), CarClient(socket) as link:
             over = threading.Event()
             engagements: list[str] = []
             threading.Thread(target=operate, args=(socket, over, engagements), daemon=True).start()
@@ -119,9 +125,8 @@ def drive(
             if fifo:
                 granted = realtime.preferred()
                 print(granted)
-            clock = Clock(scale=scale)
+            clock = Clock()
             more: dict[str, Any] = {}
-            last = link.query()
             try:
                 if controller == "learn":
                     how: dict[str, Any] = {"safe": safe, "seed": seed}
@@ -132,7 +137,6 @@ def drive(
             except CarLost as error:  # a machine that stands still for a second
                 lost = str(error)
             over.set()
-            last = link.last or last
     finally:
         if fifo:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -148,13 +152,11 @@ def drive(
     for drive in replays.drives(recorded):
         asked += len(drive.requests)
         same_asked += replays.replayed_requests(drive, config)
-    heard = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    heard = heard_by(log)
     times = [h["t"] for h in heard if h.get("enable") == 1]
     return {
         "controller": controller,
         "minutes": minutes,
-        "time_scale": scale,
-        "bus": channel.split(":")[0],
         "sched_fifo": granted or "not asked for",
         "busy_processes": busy,
         **timing.summary(),
@@ -162,14 +164,9 @@ def drive(
         "lost": lost,
         "engagements": len(engagements),
         "faults": engagements[1:],
-        "mode_at_end": str(last.mode),
-        "cause": last.text.splitlines()[0],
-        "engaged_steps": engaged,
         "rms_e_m": (squares / max(1, engaged)) ** 0.5,
         "max_e_m": worst,
-        "distance_m": max(h["progress"] for h in heard if "progress" in h),
         "longest_gap_on_bus_ms": 1e3 * max((b - a for a, b in pairwise(times)), default=0.0),
-        "frame_errors": last.errors,
         "frames_sent": frames,
         "frames_replayed_exactly": same,
         "requests": asked,
@@ -186,9 +183,7 @@ def compare(options: argparse.Namespace) -> dict[str, Any]:
     for busy in dict.fromkeys((0, options.load)):
         for fifo in (False, True):
             with tempfile.TemporaryDirectory() as folder:
-                rows.append(
-                    drive(options.controller, minutes(options), options.time_scale, Path(folder), fifo=fifo, busy=busy)
-                )
+                rows.append(drive(options.controller, minutes(options), Path(folder), fifo=fifo, busy=busy))
     names = (
         "sched_fifo",
         "busy_processes",
@@ -203,13 +198,8 @@ def compare(options: argparse.Namespace) -> dict[str, Any]:
         "faults",
         "lost",
     )
-    for name in names:
-        print(f"{name:22s}", *[f"{_short(row[name]):>22s}" for row in rows])
+    show("with and without SCHED_FIFO", [{name: row[name] for name in names} for row in rows])
     return {"drives": rows}
-
-
-def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)[:22]
 
 
 def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
@@ -269,10 +259,7 @@ def learn(
             "nets": learner.learner_state.counts.updates,
             "transitions": len(learner.learner_state.transitions),
             "failures": learner.learner_state.counts.failures,
-            "by_learner_m": learner.learner_state.counts.driven,
             "longest_without_failure_m": best,
-            "rounds_without_failure": best / config.course.length,
-            "trainer_faults": list(learner.trainer.faults),
             "filter_faults": dict(learner.filter_faults),
             "interventions_pct": 100.0 * sum(corrected) / max(1, len(corrected)),
         }
@@ -290,7 +277,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--safe", action="store_true", help="a safety filter before the gate, for `learn`")
     parser.add_argument("--seed", type=int, default=0, help="of the learner's nets, and of the human's speed")
     parser.add_argument("--minutes", type=float, default=None, help="of each drive (default 5)")
-    parser.add_argument("--time-scale", type=float, default=1.0, help="1 is real time")
     parser.add_argument("--fifo", action="store_true", help="controller and car server under SCHED_FIFO")
     parser.add_argument("--load", type=int, default=0, help="processes that compute beside it")
     parser.add_argument("--compare", action="store_true", help="with and without SCHED_FIFO, idle and with --load")
@@ -304,13 +290,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         row = drive(
             options.controller,
             minutes(options),
-            options.time_scale,
             Path(folder),
             fifo=options.fifo,
             busy=options.load,
             safe=options.safe,
             seed=options.seed,
         )
-    for name, value in row.items():
-        print(f"{name:26s} {value:.4g}" if isinstance(value, float) else f"{name:26s} {value}")
+    show_figures(row)
     return row

@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from benchmarks.run.trials import drive_each
+from benchmarks.tables import show
 from steerkit._support.random import normals, seed_state
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
@@ -193,10 +193,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             rows.append(one_log(number, options.seconds, updates, Path(folder)))
     refused = sum(bool(row["refused"]) for row in rows)
     good = sum(row.get("good", False) for row in rows)
-    table = Table("log", "driven by", "course", "car", "channel", "RMS e", "max e", "refused", title=f"{good} GOOD")
-    for row in rows:
-        reached = [f"{row[name]:.3f} m" if name in row else "" for name in ("rms_e", "max_e")]
-        about = [str(row[name]) for name in ("number", "by", "course", "car", "channel")]
-        table.add_row(*about, *reached, row["refused"].partition("learn from: ")[2])
-    Console(width=170).print(table)
+    shown = ("number", "by", "course", "car", "channel", "rms_e", "max_e", "refused")
+    show(f"{good} GOOD", [{name: row.get(name, "") for name in shown} for row in rows])
     return {"good": good, "refused": refused, "share": (good + refused) / len(rows), "logs": rows}

@@ -14,13 +14,13 @@ tell. `car`: on simulated cars behind the bus, see `benchmarks.run.proving_car`.
 import argparse
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from benchmarks.tables import show_figures
 from steerkit import LinearSingleTrack, Scenario, vehicle
 from steerkit.logs import read_drive
 from steerkit.proving.evaluate import evaluate
@@ -182,9 +182,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure, and print."""
     quick = options.quick
     theory = against_theory(CARS[:1], NOISY) if quick else against_theory(CARS, (*NOISY, "pulse-steer", "step-steer"))
-    _show("error from closed forms [%]", theory)
+    print("error from closed forms [%]")
+    show_figures(theory)
     covered = coverage(6 if quick else options.draws)
-    _show("intervals that hold the truth [%]", covered)
+    print("intervals that hold the truth [%]")
+    show_figures(covered)
     cars, which = list(fleet().values()), names()
     if quick:
         cars, which = cars[:5], ("step-steer", "lane-change-2")
@@ -215,9 +217,3 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         figures["car"] = proving_car.measure(quick)
         print(f"on simulated cars behind the bus: {figures['car']}")
     return figures
-
-
-def _show(title: str, rows: Mapping[str, float]) -> None:
-    print(title)
-    for name, value in rows.items():
-        print(f"  {name}: {value:.2f}")

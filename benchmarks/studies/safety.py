@@ -268,7 +268,7 @@ def on_the_car(drives: int, minutes: float, first_seed: int) -> dict[str, Any]:
     rows = []
     for seed in range(first_seed, first_seed + drives):
         with tempfile.TemporaryDirectory() as folder:
-            rows.append(drive("learn", minutes, 1.0, Path(folder), safe=True, seed=seed))
+            rows.append(drive("learn", minutes, Path(folder), safe=True, seed=seed))
         say(f"drive {seed}: {as_line(rows[-1])}")
     asked, same = (sum(row[name] for row in rows) for name in ("requests", "requests_replayed_exactly"))
     return {

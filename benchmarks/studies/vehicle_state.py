@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from benchmarks.tables import as_line, say, show
 from benchmarks.wrong_belief import driven
 from benchmarks.wrong_belief import unlike as unlike_car
 from steerkit.compiled import Backend, compile
@@ -94,28 +95,23 @@ def judged(log: Log) -> tuple[float, float]:
 
 def closed_loop(names: list[str], drives: tuple[tuple[str, int], ...], rounds: float) -> dict[str, Any]:
     """Drives of each controller with the sensors, behind the estimator and with the truth."""
-    report: dict[str, Any] = {"rms_x": {}, "wheel_x": {}, "wheel_noise_x": {}, "drives": []}
-    print(f"{'':12}{'course':16}{'RMS e raw -> behind it [m]':>28}{'x':>7}{'wheel [deg/s]':>18}{'x':>7}{'truth':>8}")
+    rows: list[dict[str, Any]] = []
     for name in names:
-        ratios = []
         for course, seed in drives:
             e, wheel = {}, {}
             for kind in ("none", "vehicle-state", "truth"):
                 scenario = scene(kind, course).with_(course={"rounds": rounds})
                 e[kind], wheel[kind] = judged(drive(scenario, controller(name, scenario), seed=seed))
-            row = _ratios(e, wheel)
-            ratios.append(row)
-            report["drives"].append({"controller": name, "course": course, "seed": seed, "e": e, "wheel": wheel, **row})
-            print(
-                f"{name:12}{course:16}{e['none']:18.4f} -> {e['vehicle-state']:.4f}{row['rms_x']:7.3f}"
-                f"{wheel['none']:9.1f} -> {wheel['vehicle-state']:5.1f}{row['wheel_x']:7.3f}{wheel['truth']:8.1f}",
-                flush=True,
-            )
-        for key in ("rms_x", "wheel_x", "wheel_noise_x"):
-            report[key][name] = float(np.mean([row[key] for row in ratios]))
-    for key in ("rms_x", "wheel_x", "wheel_noise_x"):
-        print(f"{key}: " + ", ".join(f"{name} {value:.3f}" for name, value in report[key].items()))
-    return report
+            row = {"controller": name, "course": course, "seed": seed} | _ratios(e, wheel)
+            rows.append(row | {f"rms_e, {kind}": value for kind, value in e.items()})
+            say(as_line(rows[-1]))
+    means = {
+        key: {name: float(np.mean([row[key] for row in rows if row["controller"] == name])) for name in names}
+        for key in ("rms_x", "wheel_x", "wheel_noise_x")
+    }
+    show("behind the estimator, over without it", rows)
+    show("means over the courses", [{"figure": key} | by_name for key, by_name in means.items()])
+    return means | {"drives": rows}
 
 
 def _ratios(e: dict[str, float], wheel: dict[str, float]) -> dict[str, float]:
@@ -132,30 +128,21 @@ def _ratios(e: dict[str, float], wheel: dict[str, float]) -> dict[str, float]:
 def wrong_belief(names: tuple[str, ...], first: int, cars: int, seconds: float) -> dict[str, Any]:
     """Cars about which every belief is wrong, with either estimator and without one."""
     report: dict[str, Any] = {"wrong_belief_cars": []}
-    print(
-        f"\n{'wrong belief':18}{'car':>6}"
-        + "".join(f"{kind + ': e [m]':>23}  side [cm]  psi [deg]   nis" for kind in KINDS)
-    )
+    shown: list[dict[str, Any]] = []
     for name in names:
-        rows = []
+        rows: list[dict[str, Any]] = []
         for number in range(first, first + cars):
             row = {kind: asdict(driven(name, unlike_car(number, kind), seed=number, seconds=seconds)) for kind in KINDS}
             rows.append(row)
             report["wrong_belief_cars"].append({"controller": name, "car": number, **row})
-            cells = [
-                f"{one['rms_e']:23.4f}{100.0 * one['rms_side']:11.2f}{degrees_of(one['rms_heading']):11.3f}"
-                f"{one['nis_mean']:6.2f}"
-                for one in row.values()
-            ]
-            print(f"{name:18}{number:6}{''.join(cells)}", flush=True)
+            for kind, one in row.items():
+                say(f"{name}, car {number}, {kind}: {as_line(one)}")
         for other, key in (("vehicle-state", "wrong_belief_x"), ("none", "wrong_belief_x_raw")):
-            found = {}
+            found = report.setdefault(key, {}).setdefault(name, {})
             for what in ("rms_e", "rms_wheel_deg", "rms_side", "rms_heading", "max_e"):
                 ratios = [row["adaptive-state"][what] / row[other][what] for row in rows]
                 found[what] = {"median": float(np.median(ratios)), "worst": max(ratios)}
-            report.setdefault(key, {})[name] = found
-            said = ", ".join(f"{what} {x['median']:.2f} (worst {x['worst']:.2f})" for what, x in found.items())
-            print(f"{name}, with what is found over {other}: {said}")
+                shown.append({"controller": name, "over": other, "figure": what} | found[what])
         for kind in KINDS[1:]:
             shares = [0.93 <= row[kind]["nis_share"] <= 0.97 for row in rows]
             figures = {
@@ -163,9 +150,10 @@ def wrong_belief(names: tuple[str, ...], first: int, cars: int, seconds: float) 
                 "wrong_belief_nis_mean": float(np.mean([row[kind]["nis_mean"] for row in rows])),
                 "wrong_belief_max_e_m": max(row[kind]["max_e"] for row in rows),
             }
-            print(f"{name}, {kind}: {figures}", flush=True)
+            print(f"{name}, {kind}: {as_line(figures)}")
             for key, value in figures.items():
                 report.setdefault(key, {}).setdefault(name, {})[kind] = value
+    show("wrong belief: with what is found, over the others", shown)
     return report
 
 
@@ -206,7 +194,7 @@ def innovations(cars: int, seconds: float, backend: Backend) -> dict[str, Any]:
         "side_coverage_pct": 100.0 * float(np.mean(side)),
         "heading_coverage_pct": 100.0 * float(np.mean(heading)),
     }
-    print(f"innovations of {len(shares)} drives: {report}")
+    print(f"innovations of {len(shares)} drives: {as_line(report)}")
     return report
 
 
@@ -250,5 +238,5 @@ def outages(seconds: float, backend: Backend) -> dict[str, Any]:
         "usual_side_m": rms(side[calm]),
         "jump_said_pct": 100.0 * float(np.mean(one["rejected"][jumped & (phase > 7.2)])),
     }
-    print(f"outages of {OUTAGE:g} s, jumps of {JUMP:g} m for {JUMP_TIME:g} s: {report}")
+    print(f"outages of {OUTAGE:g} s, jumps of {JUMP:g} m for {JUMP_TIME:g} s: {as_line(report)}")
     return report
