@@ -33,7 +33,6 @@ _EXTRA = {
     "pandas": "pandas",
     "pyarrow": "pyarrow",
     "jinja2": "jinja2",
-    "markdown_it": "markdown-it-py",
     "distributed": "distributed",
 }
 """What the extra `bench` brings: module and package."""
@@ -143,7 +142,7 @@ def report(
     out: Annotated[Path | None, typer.Option(help="File to write; default: report.html in the results.")] = None,
 ) -> None:
     """Write the results as one self-contained HTML page."""
-    _require_extra("jinja2", "markdown_it")
+    _require_extra("jinja2")
     from benchmarks.report.page import write_report
 
     _console().print(f"written: {write_report(load_results(place), out or place / 'report.html')}", soft_wrap=True)
@@ -151,7 +150,7 @@ def report(
 
 @app.command()
 def verdict(place: Place, of: Annotated[str | None, typer.Option("--suite", help="Of one suite only.")] = None) -> None:
-    """Say where learned beats analytic, where it does not, and by how much."""
+    """Say by which metrics learned beats analytic, by which it does not, and by how much."""
     from benchmarks.report.verdict import verdict as text
 
     print(text(load_results(place), suite=of))

@@ -66,8 +66,6 @@ class Paired:
 
     difference: Interval
     """Mean of a - b with its bootstrap interval, in the figure's unit."""
-    wins: float
-    """Share of the seeds on which a is below b, ties counting half [1]."""
     p: float
     """Two-sided p value of the sign-flip permutation test of the mean difference, exact up to 13 seeds [1]."""
 
@@ -88,9 +86,7 @@ def paired(a: ArrayLike, b: ArrayLike, *, seed: int = 0) -> Paired:
         )
     gap = first - second
     test = scipy.stats.permutation_test((gap,), np.mean, permutation_type="samples", **_resampling(seed))
-    return Paired(
-        difference=interval(gap, seed=seed), wins=float(np.mean((gap < 0.0) + 0.5 * (gap == 0.0))), p=float(test.pvalue)
-    )
+    return Paired(difference=interval(gap, seed=seed), p=float(test.pvalue))
 
 
 def _resampling(seed: int) -> dict[str, Any]:

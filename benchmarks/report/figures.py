@@ -2,7 +2,6 @@
 
 import io
 import itertools
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,6 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -20,8 +18,6 @@ from steerkit.task import GOAL, TRIP
 
 WIDTH = 4.6
 """Width of a picture [in]: it fits a phone, and two or three stand side by side on a desk."""
-MOST_DOTS = 150
-"""No controller gets more dots than these in one plot."""
 LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 """Dashes take over where twelve colours are used up, and tell lines apart without colour."""
 _SERIAL = itertools.count()
@@ -95,62 +91,6 @@ def new(height: float, *, width: float = WIDTH, square: bool = False) -> tuple[F
     if square:
         axes.set_aspect("equal", adjustable="datalim")
     return figure, axes
-
-
-def dots(
-    values: Mapping[str, np.ndarray],
-    middle: Mapping[str, tuple[float, float, float]],
-    look: Mapping[str, Look],
-    *,
-    limit: float | None,
-) -> Figure:
-    """One metric: a dot a case, a bar for the median's interval and a tick for the median, one row a controller.
-
-    values: by controller, of which the finite ones are drawn. middle: (median, low, high), infinite ones left out.
-    """
-    with style():
-        height, left = 0.42 + 0.24 * len(values), 0.16 + 0.073 * max(map(len, values))
-        figure, axes = new(height)
-        figure.set_layout_engine(None)  # known margins: solving for them takes as long as drawing
-        axes.set_position((left / WIDTH, 0.3 / height, 1.0 - (left + 0.16) / WIDTH, 1.0 - 0.36 / height))
-        rng = np.random.default_rng(0)
-        finite = np.concatenate([v[np.isfinite(v)] for v in values.values()] or [np.zeros(0)])
-        positive = finite[finite > 0.0]
-        if len(positive) and len(positive) == len(finite) and positive.max() > 25.0 * positive.min():
-            axes.set_xscale("log")
-            _plain_numbers(axes.xaxis, positive.max() / positive.min())
-        for row, (name, numbers) in enumerate(values.items()):
-            shown = numbers[np.isfinite(numbers)]
-            if len(shown) > MOST_DOTS:  # as many of their quantiles, or the page grows with every case
-                shown = np.quantile(shown, np.linspace(0.0, 1.0, MOST_DOTS))
-            shift = rng.uniform(-0.22, 0.22, len(shown))
-            axes.plot(shown, row + shift, "o", ms=3.2, mew=0, alpha=0.45, color=look[name].colour)
-            centre, low, high = middle[name]
-            if math.isfinite(low) and math.isfinite(high):
-                axes.plot([low, high], [row, row], color=look[name].colour, lw=2.4, solid_capstyle="butt")
-            if math.isfinite(centre):
-                axes.plot([centre], [row], "|", ms=11, mew=2.0, color=look[name].colour)
-        if limit is not None and len(finite) and finite.max() > 0.4 * limit:
-            axes.axvline(limit, color=COLOURS["limit"], lw=0.9, ls="--")
-        axes.set_yticks(range(len(values)), list(values))
-        axes.set_ylim(len(values) - 0.5, -0.5)
-        axes.grid(axis="y", visible=False)
-        if axes.get_xscale() == "linear":
-            axes.ticklabel_format(axis="x", useOffset=False)
-            axes.locator_params(axis="x", nbins=6)
-            low, high = axes.get_xlim()
-            if high - low < 1e-3 * max(abs(low), abs(high), 1e-6) or not len(finite) or np.ptp(finite) == 0.0:
-                at = float(np.mean(finite)) if len(finite) else 0.0
-                axes.set_xlim(at - max(0.5 * abs(at), 0.1), at + max(0.5 * abs(at), 0.1))
-        return figure
-
-
-def _plain_numbers(axis: Axis, span: float = 1.0) -> None:
-    """On a logarithmic axis: 0.1, 0.2, 0.5 instead of powers of ten; the fewer, the larger the ratio `span`."""
-    subs = (1.0, 2.0, 5.0) if span < 40.0 else (1.0, 3.0) if span < 500.0 else (1.0,)
-    axis.set_major_locator(LogLocator(subs=subs, numticks=10))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
 
 
 def course_map(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str, Look], magnified: float) -> Figure:
@@ -232,7 +172,9 @@ def bands(
             axes.set_ylim(-0.03, 1.03)
         elif log:
             axes.set_yscale("log")
-            _plain_numbers(axes.yaxis)
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=10))  # not powers of ten alone
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter(NullFormatter())
             if highest:
                 axes.set_ylim(top=2.0 * highest)
         elif highest:

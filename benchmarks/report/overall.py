@@ -6,24 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.report.parts import METRICS, Drives, counted, paired_means
+from benchmarks.report.parts import METRICS, Drives, counted, paired_logs
 from benchmarks.run.results import Case, Results
 from benchmarks.statistics import Interval, paired
 
 JUDGED = {
-    "rms_e": "cross-track error",
-    "rms_wheel_rate_deg": "smoothness at the wheel",
-    "max_jerk": "lateral jerk",
-    "max_a_y": "lateral acceleration",
-}
-"""What is compared, and what it stands for; less is better in all of them."""
-PLAIN = {
     "rms_e": ("distance from the path", "RMS e"),
     "rms_wheel_rate_deg": ("turning of the wheel", "RMS wheel rate"),
     "max_jerk": ("jolts to the side", "max jerk"),
     "max_a_y": ("sideways acceleration", "max a_y"),
 }
-"""The same for somebody who steers no cars by program, and the metric."""
+"""What is compared, less being better: in words for somebody who steers no cars by program, and the metric."""
 SIGNIFICANT = 0.05
 ENOUGH = 6
 """Seeds: with fewer no p of the test is below SIGNIFICANT."""
@@ -86,11 +79,6 @@ def glances(results: Results, *, suite: str | None = None) -> list[Glance]:
     return sorted(found, key=lambda g: (-g.held / g.drives, _hardest(g.matches, default=math.inf)))
 
 
-def headline(results: Results, *, suite: str | None = None) -> str:
-    """One sentence or three that can be repeated: of the best learned controller. Empty where there is none."""
-    return next((glance.sentence for glance in glances(results, suite=suite)), "")
-
-
 def _glance(table: Drives, cases: Sequence[Case], learned: str, analytic: Sequence[str]) -> Glance:
     own = [case for case in cases if case.controller == learned]
     held = sum(bool(case.metrics.get("held")) for case in own)
@@ -104,7 +92,7 @@ def _glance(table: Drives, cases: Sequence[Case], learned: str, analytic: Sequen
 
 def _match(table: Drives, learned: str, analytic: str, name: str) -> Match | None:
     metric = next(m for m in METRICS if m.name == name)
-    pairs = paired_means(table, learned, analytic, metric, of=lambda v: np.log(np.maximum(v, 1e-12)), least=1)
+    pairs = paired_logs(table, learned, analytic, metric)
     if pairs is None:
         return None
     ours, theirs, scenarios = pairs

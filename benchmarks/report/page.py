@@ -1,14 +1,13 @@
 """The report of a benchmark run: one HTML file that holds everything and asks nothing of the network.
 
-Leaderboards, one plot a metric, drives on the map, failure-boundary maps, learning curves with intervals, the paper's
-values beside ours, the protocol and where the numbers came from.
+Leaderboards, drives on the map, failure-boundary maps, learning curves with intervals, the paper's values beside ours,
+the protocol and where the numbers came from.
 
     python -m benchmarks report runs/bench --out report.html
 """
 
 import json
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -16,11 +15,10 @@ from typing import Any
 
 import jinja2
 import numpy as np
-from markdown_it import MarkdownIt
 
 from benchmarks.report import conditions, figures, learning, parts
-from benchmarks.report.overall import PLAIN, glances
-from benchmarks.report.verdict import verdict
+from benchmarks.report.overall import JUDGED, glances
+from benchmarks.report.verdict import NOTHING, SMALL_PRINT
 from benchmarks.run.results import Case, Results
 from benchmarks.statistics import interval
 from steerkit.metrics import Metric
@@ -66,9 +64,10 @@ def html(results: Results) -> str:
     return template.render(
         place=results.place.name,
         tiles=tiles(results),
-        verdict=verdict_html(results),
         glances=glances(results),
-        plain=PLAIN,
+        judged=JUDGED,
+        nothing=NOTHING,
+        small_print=SMALL_PRINT,
         suites=[suite(results, name, look) for name in parts.suites(results)],
         paper=paper_rows(results),
         metrics=parts.METRICS,
@@ -104,13 +103,6 @@ def tiles(results: Results) -> list[tuple[str, str, str]]:
     return rows
 
 
-def verdict_html(results: Results) -> str:
-    """The verdict's Markdown as HTML, without its heading; what is no Markdown in it stays text."""
-    text = re.sub(r"\A## .*\n", "", verdict(results))
-    made: str = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
-    return made.replace("<table>", '<div class="scroll"><table>').replace("</table>", "</table></div>")
-
-
 def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[str, Any]:
     """All that the page shows of one suite."""
     cases = [case for case in results.cases if case.suite == name]
@@ -126,7 +118,6 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
         "held": parts.has(cases, "held"),
         "columns": columns,
         "rows": rows,
-        "plots": metric_plots(done, look),
         "maps": maps(results, done, look),
         "grids": conditions.grids(done, results.protocol),
         "curves": curve_plots(results, done, look),
@@ -135,34 +126,8 @@ def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[st
     }
 
 
-def metric_plots(cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
-    """One plot a metric: every case a dot, the median with its interval a bar."""
-    pictures = []
-    for m in (m for m in parts.METRICS if m.group != "learning" and parts.has(cases, m.name)):
-        of = {name: [c for c in cases if c.controller == name] for name in parts.controllers(cases)}
-        values = {name: parts.of_metric(here, m) for name, here in of.items()}
-        middle = {name: _median(parts.by_seed(here, m), m) for name, here in of.items()}
-        figure = figures.dots(values, middle, look, limit=m.limit)
-        better = "lower" if m.lower_is_better else "higher"
-        limit = "" if m.limit is None else f" Dashed: {m.limit:g} {parts.unit(m)}."
-        text = f"{m.what}; {better} is better.{limit} {_off_the_plot(values)}"
-        pictures.append(Picture(_named(m), text, figures.svg(figure, m.what)))
-    return pictures
-
-
 def _named(m: Metric) -> str:
     return f"{m.label} [{parts.unit(m)}]" if parts.unit(m) else m.label
-
-
-def _median(values: np.ndarray, m: Metric) -> tuple[float, float, float]:
-    middle = interval(values if m.lower_is_better else -values, np.median)
-    return (middle.value, middle.low, middle.high) if m.lower_is_better else (-middle.value, -middle.high, -middle.low)
-
-
-def _off_the_plot(values: dict[str, np.ndarray]) -> str:
-    lost = {name: int((~np.isfinite(v)).sum()) for name, v in values.items()}
-    counts = ", ".join(f"{name} {n}" for name, n in lost.items() if n)
-    return f"Not held or without a value, counted as worst: {counts}." if counts else ""
 
 
 def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[dict[str, Any]]:

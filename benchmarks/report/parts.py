@@ -1,7 +1,7 @@
 """What the report says of controllers: leaderboards, and comparisons seed for seed."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -182,20 +182,14 @@ def _best(value: float, others: Sequence[float], m: Metric) -> bool:
     return value == (min(others) if m.lower_is_better else max(others))
 
 
-def paired_means(
-    table: Drives,
-    name: str,
-    reference: str,
-    m: Metric,
-    *,
-    of: Callable[[np.ndarray], np.ndarray] = np.asarray,
-    least: int = 2,
-) -> tuple[np.ndarray, np.ndarray, int] | None:
-    """Means of `of` the metric over the scenarios that both held on all common seeds: ours (n,), theirs (n,), how many.
+def paired_logs(table: Drives, name: str, reference: str, m: Metric) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Means of the metric's logarithm over the scenarios that both held on all seeds: ours (n,), theirs (n,), how many.
 
-    None for fewer seeds than `least`, or where there is no such scenario.
+    The seeds are those that both have; a controller that nowhere met chance has one, and meets all of the other's.
+    None where there is no such scenario.
     """
-    seeds = sorted(_seeds(table[name]) & _seeds(table[reference]))
+    own, others = _seeds(table[name]), _seeds(table[reference])
+    seeds = sorted(own & others if min(len(own), len(others)) > 1 else own | others)
     scenarios = [scenario for scenario in table[name] if scenario in table[reference]]
 
     def values(who: str, scenario: str) -> list[float]:
@@ -205,9 +199,9 @@ def paired_means(
 
     both = [(values(name, sc), values(reference, sc)) for sc in scenarios]
     both = [pair for pair in both if np.isfinite(pair).all()]
-    if len(seeds) < least or not both:
+    if not seeds or not both:
         return None
-    ours, theirs = np.mean(of(np.array(both)), axis=0)
+    ours, theirs = np.mean(np.log(np.maximum(both, 1e-12)), axis=0)
     return ours, theirs, len(both)
 
 

@@ -78,7 +78,7 @@ def test_the_same_commands_under_steerkit_bench() -> None:
     [
         (["run", "golden"], {"joblib", "pandas"}, "joblib, pandas are not installed"),
         (["golden"], {"pyarrow"}, "pyarrow is not installed"),
-        (["report", "x"], {"markdown_it"}, "markdown-it-py is not installed"),
+        (["report", "x"], {"jinja2"}, "jinja2 is not installed"),
         (
             ["run", "golden", "--backend", "dask", "--address", "tcp://x:1"],
             {"distributed"},

@@ -22,13 +22,13 @@ def page(known: Results) -> str:
 
 
 def test_the_page_holds_everything(page: str) -> None:
-    titles = "Leaderboard|Where they fail|Learning curves|On the map|The paper beside ours|Metric by metric"
+    titles = "Leaderboard|Where they fail|Learning curves|On the map|The paper beside ours"
     for words in f"{titles}|Protocol|Provenance|no car was driven".split("|"):
         assert words in page, words
     assert "solver &lt;failed&gt;" in page
     assert "solver <failed>" not in page
     assert "tracking--paper--mpc--s1" in page, "a planned case that did not finish is named"
-    assert page.count("<svg ") == page.count("</svg>") > 40
+    assert page.count("<svg ") == page.count("</svg>") > 5
     ids = re.findall(r'\bid="([^"]+)"', page)
     assert len(ids) == len(set(ids))
     assert set(re.findall(r'(?:href="|url\()#([^")]+)', page)) <= set(ids)
@@ -39,15 +39,6 @@ def test_the_page_asks_nothing_of_the_network(page: str) -> None:
     assert set(re.findall(r"https?://[^\"'\s)]+", page)) <= {"http://www.w3.org/2000/svg"}
     assert not re.search(r"<(?:link|script|img|iframe)[^>]*(?:src|href)=\"(?!data:)", page)
     assert "default-src 'none'" in page
-
-
-def test_the_verdict_is_on_the_page_as_html(page: str) -> None:
-    section = re.search(r'<section id="verdict">(.*?)</section>', page, re.S)
-    assert section
-    assert "<h3>nfq-idoe</h3>" in section[1]
-    assert "<table>" in section[1]
-    assert "the best of each scenario" in section[1]
-    assert not re.search(r"^#|\*\*|\|---", section[1], re.M), "no Markdown is left"
 
 
 def test_no_results_are_refused(known: Results, tmp_path: Path) -> None:

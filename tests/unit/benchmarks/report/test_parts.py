@@ -48,9 +48,10 @@ def test_the_comparison_is_paired_by_seed(known: Results) -> None:
     cases = [c for c in known.cases if c.suite == "tracking"]
 
     def seeds(name: str) -> list[float]:
-        return [np.mean([c.metrics["rms_e"] for c in cases if (c.controller, c.seed) == (name, s)]) for s in SEEDS]
+        rms_e = [[c.metrics["rms_e"] for c in cases if (c.controller, c.seed) == (name, s)] for s in SEEDS]
+        return np.log(rms_e).mean(axis=1).tolist()
 
-    found = parts.paired_means(by_controller(cases), "pure-pursuit", "stanley", METRIC["rms_e"])
+    found = parts.paired_logs(by_controller(cases), "pure-pursuit", "stanley", METRIC["rms_e"])
     assert found is not None
     assert found[0] == pytest.approx(seeds("pure-pursuit"))
     assert found[1] == pytest.approx(seeds("stanley"))
@@ -68,10 +69,10 @@ def test_a_drive_that_was_not_held_counts_as_worst_and_one_without_chance_for_ev
 
     cases = [made("chance", 0, 1.0), made("chance", 1, 2.0), made("none", 0, 5.0)]
     np.testing.assert_allclose(parts.by_seed(cases, METRIC["rms_e"]), [3.0, 3.5])
-    others = [replace(c, controller="d", metrics={"rms_e": c.metrics["rms_e"] + 1.0}) for c in cases]
-    found = parts.paired_means(by_controller([*cases, *others]), "d", "c", METRIC["rms_e"])
+    others = [replace(c, controller="d", metrics={"rms_e": c.metrics["rms_e"] * 2.0}) for c in cases]
+    found = parts.paired_logs(by_controller([*cases, *others]), "d", "c", METRIC["rms_e"])
     assert found is not None
-    assert (found[0] - found[1]).tolist() == [1.0, 1.0]
+    assert found[0] - found[1] == pytest.approx([np.log(2.0)] * 2)
     assert found[2] == 2
 
 

@@ -1,14 +1,12 @@
 """The verdict: who won, by how much, and nothing from noise."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-from benchmarks.report.verdict import duels, verdict
+from benchmarks.report.overall import glances
+from benchmarks.report.verdict import NOTHING, verdict
 from benchmarks.run.results import Case, Results
-from benchmarks.statistics import paired
 from tests.support.report_results import changed
 
 
@@ -26,54 +24,43 @@ def drives(**columns: list[float]) -> Results:
 
 def test_the_verdict_says_who_won_and_by_how_much() -> None:
     rng = np.random.default_rng(0)
-    better, worse = rng.normal(0.02, 0.001, 8).tolist(), rng.normal(0.05, 0.001, 8).tolist()
+    better, worse = rng.normal(0.02, 0.001, 8), rng.normal(0.05, 0.001, 8)
     for learned, analytic, word in ((better, worse, "better"), (worse, better, "worse")):
-        one = drives(nfq=learned, stanley=analytic)
-        duel = next(d for d in duels(one, "nfq", "stanley") if d.metric == "rms_e")
-        expected = paired(learned, analytic)
-        assert duel.result == expected
-        assert duel.decided == (-1 if word == "better" else 1)
-        text = verdict(one)
-        ratio = f"{np.mean(learned) / np.mean(analytic):.2f}"
-        counts = "1 | 0 | 0 | 0" if word == "better" else "0 | 1 | 0 | 0"
-        assert f"| cross-track error | stanley | {ratio} | {counts} |" in text
-        assert "| lateral acceleration | stanley | 1.00 | 0 | 0 | 1 | 0 |" in text
-        assert "with fewer than 6" not in text
+        text = verdict(drives(nfq=learned.tolist(), stanley=analytic.tolist()))
+        ratio = np.exp(np.mean(np.log(learned / analytic)))
+        (row,) = [line for line in text.splitlines() if line.startswith("| stanley | 1 |")]
+        over, _, e, *others = row.strip("| ").split(" | ")
+        assert over == "stanley"
+        assert e.startswith(f"{ratio:.2f} [")
+        assert e.endswith(f"], {word}")
+        assert others == ["1.00 [1.00, 1.00]"] * 3
+        assert "are needed" not in text
 
 
 def test_the_verdict_claims_nothing_from_noise_or_from_drives_that_failed() -> None:
     rng = np.random.default_rng(1)
     even = drives(nfq=rng.normal(0.03, 0.01, 8).tolist(), stanley=rng.normal(0.03, 0.01, 8).tolist())
-    assert "| 0 | 0 | 1 | 0 |" in verdict(even)
+    assert "better |" not in verdict(even)
+    assert "worse |" not in verdict(even)
     lost = [changed(case, held=0.0) if case.controller == "nfq" else case for case in even.cases]
     text = verdict(Results(even.place, even.provenance, tuple(lost)))
-    assert "| cross-track error | stanley | – | 0 | 0 | 0 | 1 |" in text
+    assert "There is no scenario that it and an analytic controller both held" in text
     assert "| nfq | 0 of 8 | 0.00 [0.00, 0.32] |" in text
-    assert "**3 seeds: with fewer than 6" in verdict(drives(nfq=[0.1, 0.2, 0.3], stanley=[0.2, 0.3, 0.4]))
+    assert "| stanley | 8 of 8 |" in text
+    assert "No difference is certain with 3 seeds" in verdict(drives(nfq=[0.1, 0.2, 0.3], stanley=[0.2, 0.3, 0.4]))
+    assert "| stanley | 1 | 0.50 |" in verdict(drives(nfq=[0.1], stanley=[0.2]))
     only = Results(even.place, even.provenance, tuple(c for c in even.cases if c.controller == "stanley"))
-    assert "Nothing to compare" in verdict(only)
+    assert NOTHING in verdict(only)
 
 
 def test_an_analytic_drive_without_chance_meets_every_net() -> None:
-    one = drives(nfq=[0.05, 0.06, 0.055, 0.052, 0.051, 0.058, 0.053], stanley=[0.01])
-    duel = next(d for d in duels(one, "nfq", "stanley") if d.metric == "rms_e")
-    assert (duel.seeds, duel.decided) == (7, 1)
+    (glance,) = glances(drives(nfq=[0.05, 0.06, 0.055, 0.052, 0.051, 0.058, 0.053], stanley=[0.01]))
+    (match,) = [match for match in glance.matches["stanley"] if match.metric == "rms_e"]
+    assert (match.ratio.n, match.decided) == (7, 1)
 
 
-def test_the_best_analytic_controller_is_the_one_with_the_lowest_mean() -> None:
+def test_the_best_analytic_controller_is_told() -> None:
     rng = np.random.default_rng(3)
     means = {"nfq": 0.03, "stanley": 0.05, "lqr": 0.01, "mpc": 0.02}
-    values = {name: rng.normal(mean, 0.0005, 8) for name, mean in means.items()}
-    text = verdict(drives(**values))
-    ratio = float(np.mean(values["nfq"]) / np.mean(values["lqr"]))
-    assert f"| cross-track error | the best of each scenario | {ratio:.2f} | 0 | 1 | 0 | 0 |" in text
-
-
-def test_a_drive_that_was_lost_is_in_no_comparison() -> None:
-    """A seed counts where both held: the few metres before a car left the course say nothing."""
-    one = drives(nfq=[0.02, 0.02, 0.02, 0.9], stanley=[0.03, 0.03, 0.03, 0.03])
-    last = [case for case in one.cases if case.controller == "nfq"][-1]
-    lost = tuple(changed(case, held=0.0) if case is last else case for case in one.cases)
-    duel = next(d for d in duels(replace(one, cases=lost), "nfq", "stanley") if d.metric == "rms_e")
-    assert (duel.seeds, duel.left_out) == (3, 1)
-    assert duel.mean_learned == pytest.approx(0.02)
+    text = verdict(drives(**{name: rng.normal(mean, 0.0005, 8).tolist() for name, mean in means.items()}))
+    assert "that of lqr, the best of the analytic controllers" in text
