@@ -30,7 +30,7 @@ cars; `_worst`: of the worst run; rms_x_after_1_minute: of the net that steered 
 
 **changes**: a learner with the safety filter drives for --phase minutes, then the car changes, and nobody is told
 (`benchmarks.run.changes`). changes_recovered_s: from the change to the end of the first 20 s in which RMS e is within
-1.2 times that of the best made for the new car (analytic and told, or newly learned) on the same stretches;
+1.2 times that of the best made for the new car (analytic and told, or newly learned) under the same noise;
 changes_x_best: the same ratio from 60 s on; changes_departures: changes after which |e| exceeds 0.5 m. All of the worst
 change.
 
@@ -242,7 +242,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
             for car in cars
             for speeds in CARS[car].ranges[: 1 if quick else None]
         ]
-    short: dict[str, Any] = {"minutes": 0.05, "told": ("lqr",), "rounds": 0.05} if quick else {"minutes": options.phase}
+    short: dict[str, Any] = {"minutes": 0.05, "told": ("lqr",)} if quick else {"minutes": options.phase}
     every = [
         changes.Job(car=car, change=change, seed=seed, conditions=hard, **short)
         for seed in seeds

@@ -1,18 +1,22 @@
 """A car that changes while it is driven: what moves goes on moving, and when it is as good as the best again."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.foreign_cars import HOME
-from benchmarks.run.changes import CHANGES, SAFE, Job, carried, driven, exchange, judged, phases, profile
-from steerkit.diagram.simulation import Log
+from benchmarks.run.changes import CHANGES, SAFE, Job, best_of, carried, driven, exchange, judged, phases
+from steerkit.diagram.simulation import simulate
 from steerkit.learning.experiment import Experiment, LearningRun
+from steerkit.metrics.signals import rms
 from steerkit.plants.disturbed_plant import DisturbedPlant
+from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
+from steerkit.scenario import drive
 from steerkit.task import DT
 from steerkit.vehicles import VW_PASSAT
 
@@ -117,18 +121,35 @@ def split(change: str) -> tuple[Any, Any]:
     return before, later
 
 
-def test_the_best_is_met_on_the_same_stretches() -> None:
-    """One who has sqrt(2) times the best one's e in a bend of its round, and on the straight as much, is as good there:
-    at first it has three times as much everywhere."""
-    scenario = phases(job("mass"))[1]
-    length = scenario.path().length
-    s = np.arange(0.0, length, 1.0)
-    bend = (s > 0.4 * length) & (s < 0.5 * length)
-    ideal = Log(0.1 * s, {"path.s": s, "path.e": np.where(bend, 0.2, 0.1)}, {"path.s": "m", "path.e": "m"})
-    squares = profile(ideal, scenario)(s + length)
-    inside = (s > 0.42 * length) & (s < 0.48 * length)
-    assert squares[inside] == pytest.approx(0.04)
-    assert squares[s < 0.38 * length] == pytest.approx(0.01)
+def test_the_best_drives_the_same_way_under_the_same_noise() -> None:
+    """At each time it is where the learner is, and what the sensors add is the same number."""
+    now = job("mass", 0.1)
+    before, later = phases(now)
+    run, starts, _ = driven(before, [later], now)
+    loop = drive.drive_loop(later, drive.controller("lqr", later), seed=now.seed)
+    log = simulate(loop, starts[-1])
+    noise = len(Sensors().init()) - 6  # the last six are what was measured before
+    mine, its = run.x[run.loop.names.index("sensors")], log.state.x[loop.names.index("sensors")]
+    assert noise > 6
+    assert its[:noise] == mine[:noise]
+    assert log["path.s"][-1] == pytest.approx(run._value("path.s"), abs=0.1)
+
+
+def test_the_best_is_the_one_with_the_least_error_after_the_change() -> None:
+    now = replace(job("mass", 0.1), told=("pure-pursuit", "lqr"))
+    _, later = phases(now)
+    name, e = best_of(later, now, 6.0, 12.0)
+    truth = later.with_(knowledge={"oracle": True})
+    loops = {of: drive.drive_loop(truth, drive.controller(of, truth), seed=now.seed) for of in now.told}
+    part = slice(round(6.0 / DT), round(12.0 / DT))
+    errors = {of: simulate(loop, 12.0, every=round(DT / loop.dt))["path.e"][part] for of, loop in loops.items()}
+    assert rms(errors["lqr"]) < rms(errors["pure-pursuit"])
+    assert name == "lqr"
+    assert e.tolist() == errors["lqr"].tolist()
+
+
+def test_when_it_is_as_good_as_the_best() -> None:
+    """At first it has three times as much, then a tenth more, in bends as on straights."""
     t = np.arange(0.0, 120.0, DT)
     best = np.where(t % 40.0 < 10.0, 0.04, 0.01)
     e = np.sqrt(best) * np.where(t < 30.0, 3.0, 1.1)
