@@ -254,16 +254,17 @@ def learn(
             best = max(best, learner.learner_state.counts.driven - since)
             return False
 
-        run = learner.run(seconds, clock=clock, watch=count)
-        more |= {
-            "nets": learner.learner_state.counts.updates,
-            "transitions": len(learner.learner_state.transitions),
-            "failures": learner.learner_state.counts.failures,
-            "longest_without_failure_m": best,
-            "filter_faults": dict(learner.filter_faults),
-            "interventions_pct": 100.0 * sum(corrected) / max(1, len(corrected)),
-        }
-        return run
+        try:
+            return learner.run(seconds, clock=clock, watch=count)
+        finally:  # also where the car is lost
+            more |= {
+                "nets": learner.learner_state.counts.updates,
+                "transitions": len(learner.learner_state.transitions),
+                "failures": learner.learner_state.counts.failures,
+                "longest_without_failure_m": best,
+                "filter_faults": dict(learner.filter_faults),
+                "interventions_pct": 100.0 * sum(corrected) / max(1, len(corrected)),
+            }
 
 
 def minutes(options: argparse.Namespace) -> float:
