@@ -53,7 +53,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.fixture
 def without_layout(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures without room made for their labels, a third of their time: tests/contract/test_pictures.py sees it."""
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
+    """Pictures without room made for their labels, half of their time: tests/contract/test_pictures.py sees it."""
+    from matplotlib.figure import Figure
 
-    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
+    monkeypatch.setattr(Figure, "get_layout_engine", lambda _: None)

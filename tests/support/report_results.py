@@ -39,7 +39,7 @@ def drive(controller: str, fields: dict[str, Any], seed: int) -> dict[str, np.nd
     """The course, with a wave of known size about it."""
     path, rng = course(fields["course.name"]), np.random.default_rng(seed)
     v = 0.5 * (fields["driver.v_min"] + fields["driver.v_max"])
-    t = np.arange(0.0, min(path.length / v, 120.0), 0.1)
+    t = np.arange(0.0, min(path.length / v, 60.0), 0.1)
     s = np.clip(v * t, 0.0, path.length)
     swing = 0.02 * CONTROLLERS[controller] * (1.0 + 9.0 * fields["steering.delay"]) * (v / 6.0) * rng.uniform(0.8, 1.2)
     e = swing * np.sin(0.8 * t + seed)

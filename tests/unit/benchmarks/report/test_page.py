@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 from benchmarks.report.page import write_report
 from benchmarks.run.results import Results
@@ -18,7 +19,10 @@ needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrom
 
 @pytest.fixture(scope="module")
 def page(known: Results) -> str:
-    return write_report(known, known.place / "sub" / "page.html").read_text(encoding="utf-8")
+    """With figures whose layout tests/unit/benchmarks/report/test_figures.py sees."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "get_layout_engine", lambda _: None)
+        return write_report(known, known.place / "sub" / "page.html").read_text(encoding="utf-8")
 
 
 def test_the_page_holds_everything(page: str) -> None:

@@ -72,7 +72,7 @@ KEPT = {"foreign": ("--keep", "drives.jsonl"), "safety": ("--keep", "learners.js
 SHORTER = {
     "from_logs": ("--seconds", "60"),
     "learning": ("--course", "circle"),  # each net is test-driven over a whole round, which takes longer than to learn
-    "production_cars": ("--ports", "NISSAN_LEAF"),  # others: tests/unit/car/production
+    "production_cars": ("--ports", "TESLA_MODEL_3"),  # others: tests/unit/car/production
     "scoreboard": ("--agents", "default", "--trainings", "0"),  # agents of others: test_agents.py, test_lateral.py
 }
 DRIVEN_FOR_LONG = ("throughput", "vehicle_state")
