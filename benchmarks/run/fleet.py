@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.run.spread import Where, computing
-from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
+from benchmarks.run.trials import Ran, Taken, TrialDrive, drive_each, over, ran, train
 from benchmarks.scenarios import MULTI_BODY
 from benchmarks.tables import show
 from steerkit.learning.experiment import Experiment
@@ -28,8 +28,6 @@ ORACLE = ("stanley-delay", "lqr", "mpc")
 """Analytic controllers that take a believed delay."""
 TOLD_DATA_SHEET = ("stanley", "lqr", "mpc")
 """Those that a data sheet is enough for."""
-FIRST_NETS = 12
-"""So many of a run's first nets are test-driven in search of the first GOOD one, then every fourth."""
 
 
 def of_kind(name: str, **changes: Any) -> tuple[Scenario, ...]:
@@ -80,9 +78,9 @@ KINDS: Mapping[str, Callable[[], tuple[Scenario, ...]]] = MappingProxyType(
 0.2 s of delay. All with `hard` sensors."""
 
 
-@dataclass(frozen=True)
-class FleetOutcome:
-    """What one car came to; times in seconds of driving, None where it did not happen."""
+@dataclass(frozen=True, kw_only=True)
+class FleetOutcome(Ran):
+    """What one car came to, beside the best analytic controllers."""
 
     name: str
     seed: int
@@ -91,19 +89,6 @@ class FleetOutcome:
     lag: float
     offset_deg: float
     play_deg: float
-    dead_samples: int
-    good: float | None
-    failures: int
-    departure: float
-    """Largest true |e| of the whole run, first failure and recovery included [m]."""
-    stuck: int
-    """How often recovery steered for 20 s without getting to hand over."""
-    nets: int
-    held: bool
-    rms_e: float
-    max_e: float
-    wheel_rate_deg: float
-    jerk_rms: float
     best: str
     rms_x_oracle: float
     wheel_x_oracle: float
@@ -122,15 +107,9 @@ def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
     def judged(net: Taken) -> TrialDrive:
         return drive_each(scenario, setting, [net.policy], seed=test)[0]
 
-    nets = trained.nets
-    good = first_good(nets, judged)
-    final = judged(nets[-1]) if nets else None
-    summary = final.summary if final else None
-    nan = float("nan")
     best, truth = best_of(scenario.with_(knowledge={"oracle": True}), ORACLE, test)
     on_sheet, sheet = best_of(scenario.with_(knowledge={"delay": 0.0, "lag": 0.0}), TOLD_DATA_SHEET, test)
-    forecast = nets[-1].policy.forecast if nets else None
-    mine = (summary.rms_e, summary.rms_wheel_rate_deg, summary.rms_jerk) if summary else (nan,) * 3
+    final = judged(trained.nets[-1]) if trained.nets else None
     return FleetOutcome(
         name=scenario.name,
         seed=seed,
@@ -139,33 +118,15 @@ def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
         lag=scenario.steering.lag,
         offset_deg=scenario.steering.offset_deg,
         play_deg=scenario.steering.play_deg,
-        dead_samples=forecast.samples if forecast else 0,
-        good=good,
-        failures=trained.run.counts.failures,
-        stuck=len(trained.run.counts.stuck),
-        departure=float(np.abs(trained.run.recorder.log()["path.e"]).max()),
-        nets=len(nets),
-        held=final is not None and final.held,
-        rms_e=mine[0],
-        max_e=summary.max_e if summary else nan,
-        wheel_rate_deg=mine[1],
-        jerk_rms=mine[2],
+        **ran(trained, judged),
         best=best,
-        rms_x_oracle=mine[0] / truth.rms_e,
-        wheel_x_oracle=mine[1] / truth.rms_wheel_rate_deg,
-        jerk_x_oracle=mine[2] / truth.rms_jerk,
+        rms_x_oracle=over(final, "rms_e", truth),
+        wheel_x_oracle=over(final, "rms_wheel_rate_deg", truth),
+        jerk_x_oracle=over(final, "rms_jerk", truth),
         best_on_data_sheet=on_sheet,
-        rms_x_data_sheet=mine[0] / sheet.rms_e,
+        rms_x_data_sheet=over(final, "rms_e", sheet),
         computing=trained.computing,
     )
-
-
-def first_good(nets: list[Taken], judged: Callable[[Taken], TrialDrive]) -> float | None:
-    """When the first GOOD net took the wheel [s]."""
-    for i, net in enumerate(nets):
-        if (i < FIRST_NETS or i % 4 == 0) and judged(net).good:
-            return net.t
-    return None
 
 
 def best_of(scenario: Scenario, names: Iterable[str], seed: int) -> tuple[str, Summary]:
@@ -182,7 +143,7 @@ def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
 
     times = [np.inf if o.good is None else o.good for o in outcomes]
     ratios = {
-        name: [np.nan_to_num(getattr(o, name), nan=np.inf) if o.held else np.inf for o in outcomes]
+        name: [getattr(o, name) for o in outcomes]
         for name in ("rms_x_oracle", "wheel_x_oracle", "jerk_x_oracle", "rms_x_data_sheet")
     }
     return {

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.foreign_cars import scene
-from benchmarks.run.fleet import best_of, first_good
-from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
+from benchmarks.run.fleet import best_of
+from benchmarks.run.trials import Ran, Taken, TrialDrive, drive_each, over, ran, train
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
 from steerkit.metrics import GOOD, Criterion, Summary, of_log
@@ -42,26 +42,10 @@ class Job:
     """That those drive."""
 
 
-@dataclass(frozen=True)
-class Learned:
-    """What became of it; times in seconds of driving, None where it never happened, NaN where there is no net."""
+@dataclass(frozen=True, kw_only=True)
+class Learned(Ran):
+    """What became of it, beside the best analytic controller; good: by the criterion of `eased`."""
 
-    good: float | None
-    """When the first good net took the wheel (`eased`)."""
-    failures: int
-    departure: float
-    """Largest true |e| of the run, recovery included [m]."""
-    stuck: int
-    nets: int
-    held: bool
-    """Did the final net drive the round, with |e| <= 0.5 m?"""
-    rms_e: float
-    max_e: float
-    wheel_deg: float
-    jerk: float
-    """Largest lateral jerk, smoothed over 0.5 s [m/s^3]."""
-    dead_time: float
-    """That the learner found [s]."""
     best: str
     """The analytic controller of the least RMS e."""
     best_rms_e: float
@@ -92,31 +76,17 @@ def one_learner(job: Job) -> Learned:
             made[id(net)] = replace(drive_each(scenario, DEFAULT, [net.policy], seed=test)[0], criterion=criterion)
         return made[id(net)]
 
-    good = first_good(nets, judged)
     early = [net for net in nets if net.t <= 60.0]
     final, first = (judged(those[-1]) if those else None for those in (nets, early))
-    of_final = final.summary if final else None
-    nan = math.nan
-    forecast = nets[-1].policy.forecast if nets else None
     return Learned(
-        good=good,
-        failures=trained.run.counts.failures,
-        departure=float(np.abs(trained.run.recorder.log()["path.e"]).max()),
-        stuck=len(trained.run.counts.stuck),
-        nets=len(nets),
-        held=final is not None and final.held,
-        rms_e=of_final.rms_e if of_final else nan,
-        max_e=of_final.max_e if of_final else nan,
-        wheel_deg=of_final.rms_wheel_rate_deg if of_final else nan,
-        jerk=of_final.max_jerk if of_final else nan,
-        dead_time=forecast.samples * nets[-1].policy.dt if forecast else 0.0,
+        **ran(trained, judged),
         best=best,
         best_rms_e=told.rms_e,
         best_wheel_deg=told.rms_wheel_rate_deg,
         best_good=GOOD.met(told),
-        rms_x=_over(final, "rms_e", told),
-        rms_x_1=_over(first, "rms_e", told),
-        wheel_x=_over(final, "rms_wheel_rate_deg", told),
+        rms_x=over(final, "rms_e", told),
+        rms_x_1=over(first, "rms_e", told),
+        wheel_x=over(final, "rms_wheel_rate_deg", told),
         wheel_spread=spread([wheel_rate(scenario, net, test) for net in nets[-job.last :]]),
         computing=time.perf_counter() - began,
     )
@@ -148,10 +118,3 @@ def spread(rates: list[float]) -> float:
         return math.inf if rates else math.nan
     middle = float(np.median(rates))
     return max(max(rates) / middle, middle / min(rates))
-
-
-def _over(trial: TrialDrive | None, metric: str, told: Summary) -> float:
-    """A net's figure over the best analytic controller's."""
-    if trial is None or not trial.held or trial.summary is None:
-        return math.inf
-    return float(getattr(trial.summary, metric) / getattr(told, metric))

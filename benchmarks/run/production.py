@@ -1,4 +1,4 @@
-"""Drives of production cars in one process: controller, car server's core, port, opendbc's safety code, car."""
+"""Drives behind the bus in one process: controller, car server's core, and a kit or a port, its judge and its car."""
 
 import time
 from collections.abc import Callable
@@ -13,6 +13,7 @@ from steerkit.car.production.car_frames import CarFrames
 from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import STEP, Frame, Port
 from steerkit.car.production.simulated import ProductionCar
+from steerkit.car.simulated import SimulatedCar
 from steerkit.car.state_machine import Mode, Order
 from steerkit.task import DT
 
@@ -93,28 +94,25 @@ class PortedCar:
 
 
 class ProductionWorld:
-    """A line to the car, as a `CarClient` is one: each `query` moves time on by a sample. The panel's keys are read."""
+    """A line to the car, as a `CarClient` is one: each `query` moves time on by a sample. The panel's keys are read.
 
-    def __init__(self, config: CarConfig, *, judged: bool = True, dt: float = DT, **more: Any):
-        self.config, self.dt = config, dt
-        self.judge = SafetyJudge(platform(config.port)) if judged else None
-        self.car = self.made(**more)
+    config: of a production car, or of a kit, which has neither port nor judge. more: as the car takes it.
+    """
+
+    def __init__(self, config: CarConfig, *, judged: bool = True, **more: Any):
+        self.config = config
+        self.judge = SafetyJudge(platform(config.port)) if judged and config.port else None
+        self.car: Any = PortedCar(config, judge=self.judge, **more) if config.port else SimulatedCar(config, **more)
         self.core = Core(config)
         self.t, self.misses = 0.0, 0
         self.last: protocol.Snapshot | None = None
         self.modes: list[tuple[float, Mode, str]] = []
         self.beat_due, self.beats = 0.01, True
-        self.refused: list[str] = []
-        self.watch: Callable[[], None] | None = None
         self.handle(Link(0.0, 1, True))
         self.packet(protocol.Hello(True))
         self.handle(Link(0.0, 2, True))
         self.handle(Packet(0.0, 2, protocol.encode(protocol.Hello(False))))
         self.until(1.2)
-
-    def made(self, **more: Any) -> Any:
-        """Its car."""
-        return PortedCar(self.config, judge=self.judge, **more)
 
     def told(self, event: Event, outputs: list[Any]) -> None:
         """Is given every event, and what the core made of it."""
@@ -122,7 +120,7 @@ class ProductionWorld:
     # a line to the car
     def query(self) -> protocol.Snapshot:
         """A sample later; what is known then."""
-        self.until(self.t + self.dt)
+        self.until(self.t + DT)
         self.packet(protocol.Query())
         assert self.last is not None
         return self.last
@@ -177,8 +175,6 @@ class ProductionWorld:
                     answer = protocol.decode(data)
                     if isinstance(answer, protocol.Snapshot):
                         self.last = answer
-                    elif isinstance(answer, protocol.Refused):
-                        self.refused.append(answer.why)
 
     @property
     def mode(self) -> Mode:

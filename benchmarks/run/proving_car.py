@@ -31,7 +31,7 @@ from steerkit.car.config import CarConfig, load, shipped
 from steerkit.car.core import Event, Send
 from steerkit.car.protocol import Snapshot
 from steerkit.car.prove import Proving, most, on_course, runs_in
-from steerkit.car.simulated import Fault, SimulatedCar
+from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import realtime
 from steerkit.paths.courses import bends
@@ -80,7 +80,7 @@ def fitting(name: str, config: CarConfig, v: float) -> Manoeuvre:
 
 
 class ProvingWorld(ProductionWorld):
-    """Car, car server's core and the runs of a manoeuvre in one process; for a kit too.
+    """Car, car server's core and the runs of a manoeuvre in one process.
 
     beyond: commands outside the gate's limits, or sent while nobody drives.
     """
@@ -91,7 +91,7 @@ class ProvingWorld(ProductionWorld):
         how = {key: more.pop(key) for key in ("base", "minutes", "yes") if key in more}
         v = wanted.conditions.v
         given = {"s": 20.0, "v_min": v - 0.1, "v_max": v + 0.1}
-        super().__init__(config, judged=bool(config.port), **given | more)
+        super().__init__(config, **given | more)
         self.lasting, self.over = True, False
         self.seen: list[Snapshot] = []
         link: Any = self
@@ -99,9 +99,6 @@ class ProvingWorld(ProductionWorld):
         resting = self.proving.follow.resting
         self.run = realtime.Run(resting, resting.init(), realtime.Timing(period=DT))
         self.order(Order.ARM)
-
-    def made(self, **more: Any) -> Any:
-        return super().made(**more) if self.config.port else SimulatedCar(self.config, **more)
 
     @property
     def runs(self) -> list[dict[str, Any]]:

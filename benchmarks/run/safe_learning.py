@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.run.fleet import first_good
 from benchmarks.run.kept import Row
-from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
+from benchmarks.run.trials import Taken, TrialDrive, drive_each, first_good, train
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
 from steerkit.metrics.signals import largest
