@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 from hypothesis import Phase, settings
 
+from tests.support import programs
+
 settings.register_profile("steerkit", deadline=None, print_blob=True)
 settings.register_profile(
     "mutants", settings.get_profile("steerkit"), phases=[Phase.explicit, Phase.generate]
@@ -53,7 +55,13 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.fixture
 def without_layout(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures without room made for their labels, half of their time: tests/contract/test_pictures.py sees it."""
+    """Pictures without room made for their labels, half of their time: tests/contract/test_pictures.py has it."""
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(Figure, "get_layout_engine", lambda _: None)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures are written and not drawn."""
+    programs.undrawn(monkeypatch.setattr)

@@ -24,6 +24,7 @@ from steerkit.diagram.simulation import Log, simulate
 from steerkit.gym.vector_env import Painter
 from steerkit.identification.fit import Identified, Prediction
 from steerkit.learning import pictures
+from steerkit.learning.data.distance import Distance, states_of
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
@@ -34,6 +35,7 @@ from steerkit.logs.drive import Drive
 from steerkit.logs.resimulate import Resimulated, compared
 from steerkit.plots import animation, diagram, drive, style
 from steerkit.scenario import Scenario
+from steerkit.scenario.drive import Sweep
 from tests.support.diagrams import LOOPS, small
 from tests.support.places import ROOT
 from tests.support.straight_road import PASSAT, steered
@@ -107,6 +109,8 @@ def told() -> Any:
     return picture(Contents(log=of, rows=rows, drive=None, trouble="", notes=()))
 
 
+OWN = Log(T, SIGNALS | dict.fromkeys(("path.e_dot", "path.r_e", "doe.state"), 0.1 * np.cos(T)), {})
+APART = Distance.of(states_of(OWN, "a"), SEEN, PARTS["experiment"].setting.description())
 SCENE = (animation.Moments.of_log(LOG), PATH, 2.7, 1.2, 15.0, 18.0)
 PICTURES: dict[str, Callable[[], Any]] = {
     **{
@@ -131,6 +135,9 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "log's channels": told,
     "resimulated": lambda: compared(AGAIN),
     "identified": lambda: FOUND.plot(PREDICTED),
+    "data": lambda: pictures.beside_the_data(SEEN, OWN, APART, title="a"),
+    "sweep": lambda: Sweep({"k": T}, {"k": T, "rms_e": np.sin(T), "of mine": T}).plot(),
+    "sweep of two": lambda: Sweep({"k": T[:20], "m": T[:30]}, {"rms_e": T}).plot(),
     "fit": lambda: FOUND.plot(),
     "replay": lambda: pictures.replay(RECORD, 2),
     "replay of the last": lambda: pictures.replay(RECORD, 3),
@@ -177,6 +184,7 @@ def summary(draw: Callable[[], Any]) -> dict[str, list[float]]:
             found.setdefault(f"{n} {words(artist, LOOK)}", []).extend(numbers(artist))
     for artist in [*figure.texts, *(text for legend in figure.legends for text in legend.get_texts())]:
         found[words(artist, LOOK)] = numbers(artist)
+    figure.draw_without_rendering()  # most tests, and the programs that they start, draw nothing
     return {key: [float(f"{value:.9g}") for value in values] for key, values in found.items()}
 
 

@@ -34,6 +34,8 @@ FIRST = (
 )
 COURSES = ("paper", "circle")
 """What most programs import, and the courses that most drive on: this process has both before the first."""
+PNG = b"\x89PNG\r\n\x1a\n"
+"""How such a file begins."""
 
 
 def alive(pid: int) -> bool:
@@ -125,9 +127,8 @@ def _become(
         sys.path[:0] = [str(folder), *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
         _alone()
         forking()
-        if "matplotlib.figure" in sys.modules:  # without layout and axes pictures take a third of their time
-            sys.modules["matplotlib.figure"].Figure.get_layout_engine = lambda *_: None  # type: ignore[attr-defined]
-            sys.modules["matplotlib.axis"].Axis.draw = lambda *_: None  # type: ignore[attr-defined]
+        if "matplotlib.figure" in sys.modules:  # to draw takes a third of a short command's time
+            undrawn()
         code = _ended(words)
         threading._shutdown()  # type: ignore[attr-defined]  # waits for threads, as the interpreter does
         atexit._run_exitfuncs()
@@ -251,6 +252,26 @@ def forking(set_to: Callable[[Any, str, Any], None] = setattr) -> None:
             return _fork(args[1:], keep=fds, environment={**os.environ, **(env or {})})
 
         set_to(loky, "fork_exec", execute)
+
+
+def undrawn(set_to: Callable[[Any, str, Any], None] = setattr) -> None:
+    """From now on pictures are written and not drawn: tests/contract/test_pictures.py draws each kind of them.
+
+    A report's (SVG) and a film's, which are read again, are drawn, without layout. set_to: `monkeypatch.setattr`.
+    """
+    figure = importlib.import_module("matplotlib.figure").Figure
+    drawn = figure.savefig
+
+    def written(self: Any, file: Any, **how: Any) -> None:
+        if how.get("format", "png") != "png":
+            drawn(self, file, **how)
+        elif hasattr(file, "write"):
+            file.write(PNG)
+        else:
+            Path(file).write_bytes(PNG)
+
+    set_to(figure, "savefig", written)
+    set_to(figure, "get_layout_engine", lambda _: None)
 
 
 def _ended(words: Sequence[str]) -> int:

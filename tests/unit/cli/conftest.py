@@ -10,8 +10,8 @@ from tests.support.command_lines import run
 
 
 @pytest.fixture(autouse=True)
-def quick(without_layout: None) -> None:
-    """Commands draw many pictures."""
+def quick(undrawn: None) -> None:
+    """Commands make many pictures."""
 
 
 class Said(NamedTuple):

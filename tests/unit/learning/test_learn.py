@@ -36,6 +36,7 @@ def test_offline_updates_start_from_the_nets_before() -> None:
     assert np.array_equal(second[0][0], alone[0][0])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_log_makes_a_run_that_can_be_shown_and_goes_on(tmp_path: Path) -> None:
     scenario = Scenario().with_(course={"name": "circle", "rounds": 0.2})  # of its test drives
     experiment = Experiment(setting=QUICK, scenario=scenario, seed=3)

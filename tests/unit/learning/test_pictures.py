@@ -59,6 +59,7 @@ def test_a_replay_shows_its_episode(record: Record) -> None:
     replay(record, last)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_all_pictures_of_a_run_are_drawn(kept: Path, tmp_path: Path) -> None:
     always = ["policy-map", "learning-curve"]
     learn(Experiment(setting=FAST, minutes=0.005), tmp_path / "new")

@@ -16,6 +16,7 @@ from steerkit.proving.evaluate import Evaluation, evaluate
 from steerkit.proving.manoeuvre import Limit, manoeuvre, names
 from steerkit.proving.page import write
 from steerkit.proving.runs import Run, simulated
+from tests.support import programs
 
 CAR = Scenario(vehicle={"name": "vw-passat", "plant": "linear"})
 OF_EACH_KIND = tuple({manoeuvre(name).evaluation: name for name in names()}.values())
@@ -35,9 +36,19 @@ def of(name: str, who: str = "a car", limits: Sequence[Limit] = ()) -> Evaluatio
     return evaluate(manoeuvre(name), runs(name), CAR.nominal, who=who, limits=limits)
 
 
-def page(tmp_path: Path, *evaluations: Evaluation, general: dict[str, str] | None = None, command: str = "") -> str:
+def page(
+    tmp_path: Path,
+    *evaluations: Evaluation,
+    general: dict[str, str] | None = None,
+    command: str = "",
+    drawn: bool = False,
+) -> str:
+    """The page's text; its pictures are drawn only where that is asked for."""
     file = tmp_path / "a.html"
-    write(file, evaluations, general=general or {}, command=command)
+    with pytest.MonkeyPatch.context() as patch:
+        if not drawn:
+            programs.undrawn(patch.setattr)
+        write(file, evaluations, general=general or {}, command=command)
     assert file.stat().st_size < 600_000
     return file.read_text(encoding="utf-8")
 
@@ -45,7 +56,7 @@ def page(tmp_path: Path, *evaluations: Evaluation, general: dict[str, str] | Non
 @pytest.mark.parametrize("name", OF_EACH_KIND)
 def test_a_page_says_the_verdict_all_results_and_why_a_run_does_not_count(name: str, tmp_path: Path) -> None:
     evaluation = of(name)
-    text = page(tmp_path, evaluation, general={"how": "simulation"}, command="steerkit prove a < b")
+    text = page(tmp_path, evaluation, general={"how": "simulation"}, command="steerkit prove a < b", drawn=True)
     told = unescape(re.sub(r"<[^>]*>", "", re.sub(r"src='[^']*'", "", text)))
     assert {True: "PASSED", False: "FAILED", None: "NOT JUDGED"}[evaluation.passed] in told
     wanted = [evaluation.manoeuvre.norm, "no: speed 5.", "no car was driven", "steerkit prove a < b", version()]
@@ -60,7 +71,8 @@ def test_a_page_says_the_verdict_all_results_and_why_a_run_does_not_count(name: 
 
 
 def test_names_are_text_and_nothing_else(tmp_path: Path) -> None:
-    text = page(tmp_path, of("sine", HOSTILE), of("sine", "other"), general={HOSTILE: HOSTILE}, command=HOSTILE)
+    both = of("sine", HOSTILE), of("sine", "other")
+    text = page(tmp_path, *both, general={HOSTILE: HOSTILE}, command=HOSTILE, drawn=True)
     assert "<script" not in text
     assert "&lt;script&gt;alert(&#x27;$x_$&#x27;)" in text
 
