@@ -36,12 +36,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.run import kept, spread
 from benchmarks.run.trials import TrialDrive, drive_each
 from benchmarks.statistics import Interval, interval, share
+from benchmarks.tables import show
 from steerkit.controllers.network_policy import BOUND, Network
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import COLUMNS, DOE
@@ -75,7 +74,7 @@ IMAGINED = 25_000
 GRID = ((20.0, 2.0), (60.0, 5.0), (120.0, 10.0), (math.inf, 30.0))
 """Until when [s] it is tested how often [s]."""
 WITHIN = (1.0, 3.0, 10.0, 30.0)
-"""Seconds of computing of the second table."""
+"""Seconds of computing within which an agent may be GOOD."""
 
 
 @dataclass(frozen=True)
@@ -533,26 +532,21 @@ def _judged(rows: dict[str, list[kept.Row]], options: argparse.Namespace) -> dic
         for agent, those in rows.items()
     }
     computing = {agent: interval(values, np.median) for agent, values in spent.items()}
-    console = Console(width=150)
-    table = Table(
-        *("agent", "good share", "seconds to GOOD", "failures", "confirmed", "computing to GOOD [s]", "driven at most"),
-        title="driving seconds to a good driver: median over the seeds [95 %]",
-    )
-    for agent in sorted(rows, key=lambda agent: (good[agent].value, -shares[agent].value)):
-        those = rows[agent]
-        ended = [row for row in those if row["good"] is not None]
-        failures = f"{np.median([row['failures'] for row in those]):g}"
-        confirmed = f"{sum(row['confirmed'] for row in ended)} of {len(ended)}"
-        table.add_row(
-            *(agent, str(shares[agent]), str(good[agent]), failures, confirmed, str(computing[agent])),
-            f"{max(row['driven'] for row in those):.0f} s",
-        )
-    console.print(table)
-    table = Table("agent", *[f"{limit:g} s" for limit in WITHIN], title="share that is GOOD within so much computing")
     within = {agent: [float(np.mean(np.array(values) <= limit)) for limit in WITHIN] for agent, values in spent.items()}
-    for agent in sorted(rows, key=lambda agent: [-part for part in within[agent]]):
-        table.add_row(agent, *[f"{part:.2f}" for part in within[agent]])
-    console.print(table)
+    table = [
+        {
+            "agent": agent,
+            "good share": str(shares[agent]),
+            "seconds to GOOD": str(good[agent]),
+            "failures": float(np.median([row["failures"] for row in rows[agent]])),
+            "confirmed": sum(row["confirmed"] for row in rows[agent]),
+            "computing to GOOD [s]": str(computing[agent]),
+            **{f"GOOD within {limit:g} s": part for limit, part in zip(WITHIN, within[agent])},
+            "driven at most [s]": max(row["driven"] for row in rows[agent]),
+        }
+        for agent in sorted(rows, key=lambda agent: (good[agent].value, -shares[agent].value))
+    ]
+    show("driving seconds to a good driver: median over the seeds [95 %]", table)
     figures = {
         "good_seconds": {agent: found.value for agent, found in good.items()},
         "good_seconds_interval": {agent: [found.low, found.high] for agent, found in good.items()},
@@ -564,7 +558,7 @@ def _judged(rows: dict[str, list[kept.Row]], options: argparse.Namespace) -> dic
         "agents_runs": rows,
     }
     for name, wanted in (("agents_x_model_free", 10), ("agents_x_same_model", 2)):
-        console.print(f"{name}: {figures[name]} (wanted: at least {wanted})")
+        print(f"{name}: {figures[name]} (wanted: at least {wanted})")
     return figures
 
 

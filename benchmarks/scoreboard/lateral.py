@@ -23,12 +23,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.foreign_cars import CARS
 from benchmarks.peers.lateral_pid import Controller
 from benchmarks.statistics import interval
+from benchmarks.tables import show
 from steerkit.controllers.lateral import ChallengeController, LateralMpc
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
@@ -74,16 +73,16 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         minutes = 0.2 if quick else options.lateral_minutes
         makes["sac"] = [trained(seed, minutes) for seed in range(trainings)]
     figures: dict[str, Any] = {}
-    table = Table("controller", "drawn targets", "laps", title="total_cost, mean and 95 % interval")
+    rows = []
     for name, blocks in makes.items():
-        row = [name]
+        row: dict[str, Any] = {"controller": name}
         for kind, targets in (("", drawn), ("_laps", laps)):
             found = interval([np.mean([cost(block, *one) for block in blocks]) for one in targets])
             figures.setdefault(f"lat_cost{kind}", {})[name] = found.value
             figures.setdefault(f"lat_interval{kind}", {})[name] = [found.low, found.high]
-            row.append(f"{found.value:.1f} ({found.low:.1f} to {found.high:.1f})")
-        table.add_row(*row)
-    Console().print(table)
+            row[f"lat_cost{kind}"] = str(found)
+        rows.append(row)
+    show("total_cost, mean and 95 % interval", rows)
     return figures
 
 

@@ -13,8 +13,8 @@ above, N by the seed. Judged by the simulated truth.
   wander does is not as regular.
 * recovery_back_share: drives that are within 0.3 m at 15 s; recovery_stays_share: within 0.5 m from then on.
 
-They are those of `auto`, the recovery that the catalogue picks, over all drives; `rows` has each controller, car, speed
-and dead time told. A drive is lost, and ends, at |e| = 20 m. Told `none`: that there is no dead time.
+They are those of `auto`, the recovery that the catalogue picks, over all drives; `rows` has each car, speed and dead
+time told. A drive is lost, and ends, at |e| = 20 m. Told `none`: that there is no dead time.
 
 **adaptive**: the same starts and speeds, a minute, told a lag of 0.02 and of 0.2 s. adaptive_spread: by what factor RMS
 e after 20 s differs, at worst over cars, speeds, seeds, `lqr-adaptive` and `stanley-adaptive`.
@@ -73,6 +73,8 @@ AMPLITUDE, HALVES, REGULAR = 0.1, 4, 1.5  # m, half-periods, factor
 OFF, TURNED = 1.0, radians_of(5.0)
 TOLD = ("0.5", "1", "1.5", "none")
 ADAPTIVE, LAGS, ADAPTED = ("lqr-adaptive", "stanley-adaptive"), (0.02, 0.2), 20.0  # s, s
+LAST = 20
+"""So many of a learner's last nets have their wheel rates compared."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +197,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     cars = f"{', '.join(CARS)}; of the changes: {HOME}, mujoco, ..."
     parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=PARTS, metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--cars", nargs="+", default=None, choices=[*CARS, HOME], metavar="CAR", help=cars)
-    parser.add_argument("--controllers", nargs="+", default=[], metavar="NAME", help=f"of the recovery, beside {AUTO}")
     parser.add_argument("--told", nargs="+", default=list(TOLD), metavar="X", help="times the true dead time, or none")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
@@ -203,7 +204,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--minutes", type=float, default=5.0, help="of each learner")
     parser.add_argument("--phase", type=float, default=2.0, help="minutes before and after each change")
     parser.add_argument("--changes", nargs="+", default=list(CHANGES), choices=list(CHANGES), metavar="CHANGE")
-    parser.add_argument("--last", type=int, default=20, help="of how many of the last nets wheel rates are compared")
     usual = "default: clean for recovery and adaptive, else hard"
     parser.add_argument("--conditions", default=None, choices=list(CONDITIONS), help=usual)
     parser.add_argument("--keep", default="", metavar="FILE", help="keeps drives; those in it are not made again")
@@ -218,10 +218,9 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
     cars = [car for car in options.cars or CARS if car in CARS][: 1 if quick else None]
     if part == "recovery":
         return [
-            Job(car, speed, factor, name, seed, 15.2 if quick else options.seconds, clean)
+            Job(car, speed, factor, AUTO, seed, 15.2 if quick else options.seconds, clean)
             for seed in seeds
             for car in cars
-            for name in dict.fromkeys((AUTO, *options.controllers))
             for speed in CARS[car].speeds[: 1 if quick else None]
             for factor in (("1",) if quick else options.told)
         ]
@@ -235,7 +234,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
             for lag in LAGS
         ]
     if part == "learner":
-        how = (0.2, hard, 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, hard, options.last)
+        how = (0.2, hard, 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, hard, LAST)
         return [
             LearnerJob(car, *speeds, seed, *how)
             for seed in seeds
@@ -286,15 +285,11 @@ def _groups(rows: Iterable[kept.Row], *names: str) -> dict[tuple[Any, ...], list
 
 
 def recovery_figures(drives: Sequence[kept.Row]) -> dict[str, Any]:
-    """Those of `auto`, and a row a controller, car, speed and dead time told."""
+    """Those of all drives, and a row a controller, car, speed and dead time told."""
     names = ("controller", "car", "speed", "told")
     rows = [dict(zip(names, key)) | _recovered(group) for key, group in _groups(drives, *names).items()]
     show("recovery", rows)
-    return {
-        **_recovered([drive for drive in drives if drive["controller"] == AUTO]),
-        "rows": rows,
-        "drives": list(drives),
-    }
+    return {**_recovered(drives), "rows": rows, "drives": list(drives)}
 
 
 def _recovered(drives: Sequence[kept.Row]) -> dict[str, Any]:

@@ -36,11 +36,8 @@ class Outcome:
     """What one seed came to; times in seconds of driving, None where it did not happen."""
 
     seed: int
-    first_round_begun: float | None
     first_round_done: float | None
-    failures_to_round: int | None
     good: float | None
-    failures_to_good: int | None
     failures: int
     transitions: int
     nets: int
@@ -49,8 +46,6 @@ class Outcome:
     final_rms_e: float
     final_max_e: float
     final_wheel_rate_deg: float
-    final_jerk_rms: float
-    final_max_a_y: float
     longest_training: float
     computing: float
 
@@ -67,11 +62,8 @@ def one_seed(experiment: Experiment) -> Outcome:
     nan = float("nan")
     return Outcome(
         seed=experiment.seed,
-        first_round_begun=run.counts.first_round_begun,
         first_round_done=run.counts.first_round_done,
-        failures_to_round=run.counts.failures_to_round,
         good=None if first is None else nets[first].t,
-        failures_to_good=None if first is None else nets[first].failures,
         failures=run.counts.failures,
         transitions=len(run.transitions),
         nets=len(trained.nets),
@@ -80,14 +72,12 @@ def one_seed(experiment: Experiment) -> Outcome:
         final_rms_e=summary.rms_e if summary else nan,
         final_max_e=summary.max_e if summary else nan,
         final_wheel_rate_deg=summary.rms_wheel_rate_deg if summary else nan,
-        final_jerk_rms=summary.rms_jerk if summary else nan,
-        final_max_a_y=summary.max_a_y if summary else nan,
         longest_training=trained.longest_training,
         computing=trained.computing,
     )
 
 
-def summarise(outcomes: list[Outcome], within: float) -> dict[str, Any]:
+def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
     """Shares, medians and worst cases over the seeds; a seed that never got there counts as infinite."""
 
     def spread(name: str) -> dict[str, float | None]:
@@ -98,24 +88,17 @@ def summarise(outcomes: list[Outcome], within: float) -> dict[str, Any]:
     result: dict[str, Any] = {
         "seeds": len(outcomes),
         "round_share": float(np.mean([o.first_round_done is not None for o in outcomes])),
-        "round_within_minutes": within / 60.0,
-        "round_within_share": float(np.mean([(o.first_round_done or np.inf) <= within for o in outcomes])),
         "good_share": float(np.mean([o.good is not None for o in outcomes])),
         "final_holds_share": float(np.mean([o.final_holds for o in outcomes])),
         "last_nets_hold_share": float(np.mean([o.last_nets_hold for o in outcomes])),
     }
     for name in (
-        "first_round_begun",
         "first_round_done",
-        "failures_to_round",
         "good",
-        "failures_to_good",
         "failures",
         "final_rms_e",
         "final_max_e",
         "final_wheel_rate_deg",
-        "final_jerk_rms",
-        "final_max_a_y",
         "longest_training",
         "computing",
     ):
@@ -169,7 +152,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "course": options.course,
         "conditions": options.conditions,
         "minutes": minutes,
-        **summarise(outcomes, 660.0),
+        **summarise(outcomes),
     }
     show_figures(result)
     return {**result, "outcomes": [asdict(o) for o in outcomes]}

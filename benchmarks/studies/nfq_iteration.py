@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.tables import show_figures
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS, NfqPolicy
 from steerkit.controllers.policy import COLUMNS, DOE
 from steerkit.learning.costs import TanhCost
@@ -88,10 +89,9 @@ def equal_work(x: np.ndarray, y: np.ndarray, starts: int) -> dict[str, Any]:
     """Our error relative to PyTorch's after 10 and 300 epochs: medians and extremes over the starts."""
     ours = [rprop.fit(new_net(seed=k), x, y, engine="c").errors for k in range(starts)]
     torch = [rprop.fit(new_net(seed=k), x, y, engine="torch").errors for k in range(starts)]
-    numbers: dict[str, Any] = {"starts": starts, "error_0": float(ours[0][0])}
+    numbers: dict[str, Any] = {"starts": starts}
     for epoch in (10, 300):
         ratios = [float(a[epoch] / b[epoch]) for a, b in zip(ours, torch, strict=True)]
-        numbers[f"error_{epoch}"], numbers[f"error_{epoch}_torch"] = float(ours[0][epoch]), float(torch[0][epoch])
         numbers[f"error_ratio_{epoch}"] = statistics.median(ratios)
         numbers[f"error_ratio_{epoch}_span"] = [min(ratios), max(ratios)]
     every_start = max(abs(ratio - 1.0) for ratio in numbers["error_ratio_10_span"]) <= TOLERANCE[10]
@@ -159,46 +159,12 @@ def figures(quick: bool) -> dict[str, Any]:
     records = {size: drives(size) for size in sizes}
     grown = in_turns({str(size): whole(data) for size, data in records.items()}, 3)
     most = records[sizes[-1]]
-    each = [1e6 * grown[str(size)] / size for size in sizes]
     numbers |= {f"linear_seconds_{size}": grown[str(size)] for size in sizes}
-    numbers |= {"linear_us_per_transition": each, "linear_worst_x": max(each) / min(each)}
     numbers |= {"memory_x_data": memory(whole(most), most), "memory_transitions": len(most)}
     numbers |= {"decision_numpy_us": decision(count=50 if quick else 2000)}
     numbers |= {"decision_numpy_us_per_car_of_1000": decision(1000, 2 if quick else 50)}
     versions = {"torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()}
     return numbers | {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
-
-
-def table(numbers: dict[str, Any]) -> str:
-    """The figures for reading."""
-    ours, torch = numbers["seconds"] * 1e3, numbers["seconds_torch"] * 1e3
-    lines = [
-        f"one NFQ iteration on one thread: {numbers['transitions']} transitions, 5 actions; targets, then 300 epochs "
-        "of",
-        "full-batch Rprop of a 7-10-10-1 net (patterns and targets of the reference are made at our speed)",
-        f"  {'steerkit (C)':24}{ours:10.1f} ms   of it the fit {numbers['seconds_fit'] * 1e3:.1f} ms",
-        f"  {'torch.optim.Rprop':24}{torch:10.1f} ms   {numbers['vs_torch_rprop_x']:.1f} times as long",
-    ]
-    for epoch in (10, 300):
-        low, high = numbers[f"error_ratio_{epoch}_span"]
-        lines.append(
-            f"mean squared error after {epoch:3d} epochs: {numbers[f'error_{epoch}']:.6f}, PyTorch "
-            f"{numbers[f'error_{epoch}_torch']:.6f}; ratio over {numbers['starts']} starts: median "
-            f"{numbers[f'error_ratio_{epoch}']:.6f}, {low:.4f} to {high:.4f}"
-        )
-    gate = f"all within {TOLERANCE[10]} of 1 after 10, the median within {TOLERANCE[300]} after 300"
-    lines.append(f"equal work ({gate}): {'yes' if numbers['equal_work'] else 'NO'}")
-    for name, value in numbers.items():
-        if name.startswith("linear_seconds_"):
-            lines.append(f"  {name.rsplit('_', 1)[1]:>8} transitions {value * 1e3:10.1f} ms")
-    lines.append(
-        f"most memory, {numbers['memory_transitions']} transitions: {numbers['memory_x_data']:.2f} times theirs"
-    )
-    lines.append(
-        f"one greedy decision, 3 nets, 5 actions: {numbers['decision_numpy_us']:.1f} us; "
-        f"{numbers['decision_numpy_us_per_car_of_1000']:.2f} us a car in a batch of 1000"
-    )
-    return "\n".join(lines)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -208,7 +174,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure and print."""
     numbers = figures(options.quick)
-    print(table(numbers))
+    print("one NFQ iteration on one thread: targets, then 300 epochs of full-batch Rprop of a 7-10-10-1 net, 5 actions")
+    show_figures(numbers)
     return numbers
 
 

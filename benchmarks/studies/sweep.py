@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.tables import as_line, show_figures
 from steerkit import NonlinearSingleTrack, Stanley, SteeringActuator, course, placed, steering_loop, sweep, vehicle
 from steerkit.diagram.loop import Loop
 from steerkit.plants.speed_driver import ConstantSpeed
@@ -54,10 +55,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         found = sweep(loop, {"controller.k": gains}, seconds)
         times.append(time.perf_counter() - begin)
     warm, best = statistics.median(times[1:]), found.best("rms_e")
-    print(f"{len(gains)} drives of {seconds:g} s on {os.cpu_count()} cores")
-    print(f"sweep: {warm:.2f} s (wanted: at most {WANTED:g})\nthe compiler, once: {times[0] - warm:.2f} s")
-    print(f"best k {best['controller.k']:.2f}: RMS e {best['rms_e']:.3f} m")
-    return {
+    figures = {
         "gains": len(gains),
         "drive_seconds": seconds,
         "seconds": warm,
@@ -65,3 +63,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "best": best,
         "cores": os.cpu_count(),
     }
+    show_figures(figures)
+    print(f"wanted: at most {WANTED:g} s; best: {as_line(best)}")
+    return figures
