@@ -40,7 +40,6 @@ SIGNALS = {
     "psi_e": "path.psi_e",
     "v": "car.v",
     "delta_sw": "car.delta_sw",
-    "delta_sw_rate": "actuator.rate",
     "a_y": "car.a_y",
     "learning": "supervisor.learning",
 }
@@ -112,8 +111,6 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
     end = min(_first(off), _first(over) + 1)
     driven = {ours: log[theirs][:end] for ours, theirs in SIGNALS.items() if theirs in log}
     t = log.t[:end]
-    if "delta_sw_rate" not in driven:  # a car that steers itself has no actuator
-        driven["delta_sw_rate"] = np.gradient(driven["delta_sw"], t) if end > 1 else np.zeros(end)
     held = bool(over.any()) and _first(over) < _first(off) and bool((np.abs(driven["e"]) <= TRIP).all())
     share = float(np.clip(progress[max(0, end - 1)] / length, 0.0, 1.0)) if end else 0.0
     metrics = {"held": float(held), "rounds": scenario.course.rounds * share, "duration": float(t[-1]) if end else 0.0}
@@ -122,7 +119,7 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
         front = _front_error(loop, log, path, end, float(scenario.nominal.l_f))
         metrics |= {"rms_e_front": float(np.sqrt(np.mean(front**2))), "max_e_front": float(np.abs(front).max())}
     step = max(1, -(-end // _KEPT))
-    kept: dict[str, np.ndarray] = {"t": t, "learning": np.ones(end), **driven}
+    kept: dict[str, np.ndarray] = {"t": t, **driven}
     return metrics, {name: kept[name][::step].astype(np.float64) for name in TRAJECTORY}
 
 

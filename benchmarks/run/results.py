@@ -2,8 +2,8 @@
 
     provenance.json          format, versions, commit, platform, seeds, the protocol: every scenario and controller
     cases/CASE.json          one finished case; it is written last and at once, so that a kill loses no finished case
-    trajectories/CASE.npz    its decimated drive: see `TRAJECTORY`
-    curves/CASE.npz          for a learner: one row a trained net (see `CURVE`), and its episodes
+    trajectories/CASE.npz    a drive's decimated signals: see `TRAJECTORY`
+    curves/CASE.npz          for a learner: one row a trained net, see `CURVE`
     nets/CASE.npz            for a learner: the last net
     cases.parquet            all cases in one table, one row each; merged when the run ends
 
@@ -41,11 +41,9 @@ TRAJECTORY = {
     "psi_e": "rad",
     "v": "m/s",
     "delta_sw": "rad",
-    "delta_sw_rate": "rad/s",
     "a_y": "m/s^2",
-    "learning": "1",
 }
-"""Signals of a trajectory and their units, (T,) each, even in t; `learning` is 0 where recovery steered."""
+"""Signals of a trajectory and their units, (T,) each, even in t."""
 CURVE = {
     "t": "s",
     "iterations": "1",
@@ -61,8 +59,6 @@ CURVE = {
 }
 """Columns of a learning curve, one row a test-driven net (n,): the driving time at which it took the wheel, trainings
 and transitions used until then, and what its test drive of one round came to (NaN: it drove less than a second)."""
-EPISODES = {"episode_began": "s", "episode_ended": "s", "episode_distance": "m", "episode_rms_e": "m"}
-"""Also in a curve's file: one row an episode of the run (k,)."""
 TIMES = ("metric.step_p50_us", "metric.step_p99_us", "cpu_seconds")
 """Columns that measure a machine, and so differ from run to run; all others are the same for the same seeds."""
 
@@ -153,7 +149,7 @@ class Results:
         return self._arrays("trajectories", case)
 
     def curve(self, case: Case) -> dict[str, np.ndarray] | None:
-        """A learner's curve, arrays by the names of `CURVE` and `EPISODES`; None if the case is no training."""
+        """A learner's curve, arrays by the names of `CURVE`; None if the case is no training."""
         return self._arrays("curves", case)
 
     def _arrays(self, folder: str, case: Case) -> dict[str, np.ndarray] | None:

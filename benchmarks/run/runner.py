@@ -117,7 +117,7 @@ def carry_out(work: Work) -> Done:
             learnt = learn(TRAININGS[one.training], one.setting, seed=job.seed, driven=work.scenario)
             case = Case(**said, metrics=learnt.metrics)  # type: ignore[arg-type]
             net = learnt.policy
-            more = dict(trajectory=learnt.trajectory, curve=learnt.curve, net=None if net is None else net.save)
+            more = dict(curve=learnt.curve, net=None if net is None else net.save)
         else:
             assert work.scenario is not None
             if work.policy is None and controller(job.controller).learns:

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.peers.agents import SETTINGS, stable_baselines
 from benchmarks.run.drives import Policy, drive
-from benchmarks.run.results import CURVE, TRAJECTORY
+from benchmarks.run.results import CURVE
 from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from steerkit._support.errors import require
 from steerkit.controllers.network_policy import PolicyBlock
@@ -21,7 +21,6 @@ from steerkit.metrics import GOOD
 from steerkit.scenario import Scenario
 from steerkit.task import DT
 
-_KEPT = 3000  # samples of a run's trajectory, about
 EPISODES = (70, 120)
 """Episodes, each followed by one training, after which the paper speaks of a controller's quality."""
 
@@ -77,7 +76,6 @@ class Learnt:
 
     metrics: dict[str, float]
     curve: dict[str, np.ndarray]
-    trajectory: dict[str, np.ndarray] | None
     policy: NfqPolicy | PolicyBlock
 
 
@@ -100,7 +98,7 @@ def learn(training: Training, setting_name: str, *, seed: int, driven: Scenario 
     drives = drive_each(experiment.scenario, how, [net.policy for net in nets], seed=drives_with)
     policy = nets[-1].policy if nets else run.policy
     episodic = how.retrain_every_m == 0.0 or training.episode_metres > 0.0  # one training an episode
-    return Learnt(_metrics(run, nets, drives, episodic=episodic), _curve(run, nets, drives), _trajectory(run), policy)
+    return Learnt(_metrics(run, nets, drives, episodic=episodic), _curve(nets, drives), policy)
 
 
 def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
@@ -120,7 +118,7 @@ def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
         "good_minutes": float(curve["t"][good[0]]) / 60.0 if len(good) else math.inf,
         **{name: float(curve[name][-1]) for name in ("held", "rms_e", "max_e", "max_a_y", "max_jerk")},
     }
-    return Learnt(metrics, curve, None, block)
+    return Learnt(metrics, curve, block)
 
 
 def _offline(training: Training, how: Setting, run: LearningRun, seed: int) -> list[Taken]:
@@ -159,7 +157,7 @@ def _metrics(
     return metrics
 
 
-def _curve(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive]) -> dict[str, np.ndarray]:
+def _curve(nets: Sequence[Taken], drives: Sequence[TrialDrive]) -> dict[str, np.ndarray]:
     rows = []
     for number, (net, trial) in enumerate(zip(nets, drives, strict=True), start=1):
         row: dict[str, Any] = {
@@ -172,29 +170,4 @@ def _curve(run: LearningRun, nets: Sequence[Taken], drives: Sequence[TrialDrive]
         }
         rows.append([float(row[n] if n in row else getattr(trial.summary, n, math.nan)) for n in CURVE])
     columns = np.array(rows, dtype=float).reshape(len(rows), len(CURVE)).T
-    episodes = run.counts.episodes
-    return dict(zip(CURVE, columns, strict=True)) | {
-        "episode_began": np.array([e.began for e in episodes], dtype=float),
-        "episode_ended": np.array([run.t if e.ended is None else e.ended for e in episodes], dtype=float),
-        "episode_distance": np.array([e.distance for e in episodes], dtype=float),
-        "episode_rms_e": np.array([e.rms_e for e in episodes], dtype=float),
-    }
-
-
-def _trajectory(run: LearningRun) -> dict[str, np.ndarray]:
-    log = run.recorder.log()
-    step = max(1, -(-len(log.t) // _KEPT))
-    columns = {
-        "t": log.t,
-        "s": log["path.s"],
-        "x": log["car.x"],
-        "y": log["car.y"],
-        "e": log["path.e"],
-        "psi_e": log["path.psi_e"],
-        "v": log["car.v"],
-        "delta_sw": log["car.delta_sw"],
-        "delta_sw_rate": np.gradient(log["car.delta_sw"], log.t),
-        "a_y": log["car.a_y"],
-        "learning": log["supervisor.learning"],
-    }
-    return {name: np.asarray(columns[name][::step], dtype=float) for name in TRAJECTORY}
+    return dict(zip(CURVE, columns, strict=True))
