@@ -7,7 +7,6 @@ the protocol and where the numbers came from.
 """
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
@@ -63,7 +62,6 @@ def html(results: Results) -> str:
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(
         place=results.place.name,
-        tiles=tiles(results),
         glances=glances(results),
         judged=JUDGED,
         nothing=NOTHING,
@@ -79,28 +77,6 @@ def html(results: Results) -> str:
         missing=results.missing,
         look=look,
     )
-
-
-def tiles(results: Results) -> list[tuple[str, str, str]]:
-    """The numbers at the top: (number, what it is, more about it)."""
-    drives = [c for c in results.cases if c.status == "done"]
-    rows = [
-        (
-            f"{len(drives):,}",
-            "cases finished",
-            f"{len(results.missing)} missing, {len(results.cases) - len(drives)} without a result",
-        )
-    ]
-    places, seeds = len({c.scenario for c in drives}), len({c.seed for c in drives})
-    extent = f"{parts.counted(places, 'scenario')}, {parts.counted(seeds, 'seed')}"
-    rows.append((str(len(parts.controllers(drives))), "controllers", extent))
-    measured = [c for c in drives if "held" in c.metrics]
-    if measured:
-        held = float(np.mean([c.metrics["held"] > 0.5 for c in measured]))
-        rows.append((f"{100.0 * held:.0f} %", "of all drives kept to the course", "|e| ≤ 0.5 m, start to end"))
-    spent = sum(c.cpu_seconds for c in drives if math.isfinite(c.cpu_seconds))
-    rows.append((f"{spent / 60.0:,.1f} min", "computing time", "of one core, all cases"))
-    return rows
 
 
 def suite(results: Results, name: str, look: dict[str, figures.Look]) -> dict[str, Any]:

@@ -25,15 +25,13 @@ import numpy as np
 from benchmarks.peers import python_control
 from steerkit.compiled import Backend, compile
 from steerkit.controllers.stanley import Stanley
-from steerkit.diagram.block import Block
-from steerkit.diagram.loop import Loop, Wire
+from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import course
-from steerkit.paths.tracker import PathTracker
 from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario.assembly import placed
+from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.task import DT
 from steerkit.vehicles import vehicle
 
@@ -47,27 +45,16 @@ NEEDED = {"interpreted_x": 5, "compiled_c_x": 250, "batch_x": 3000, "batch_car_s
 
 def closed_loop() -> Loop:
     """The loop of this benchmark."""
-    path = course("paper")
-    car = placed(LinearSingleTrack(vehicle=CAR, dt=DT, substeps=5, v0=SPEED, y0=0.2), path, s=1.0, e=0.2)
-    stanley, driver = Stanley.of(CAR, dt=DT), ConstantSpeed(speed=SPEED, dt=DT)
-    seen, motor = PathTracker(path=path, reference=stanley.reference, dt=DT), SteeringActuator(dt=DT)
-    wires: list[Wire] = [(getattr(car, p.name), getattr(seen, p.name)) for p in seen.inputs]
-    wires += [
-        (seen.e, stanley.e),
-        (seen.psi_e, stanley.psi_e),
-        (seen.kappa, stanley.kappa),
-        (car.v, stanley.v),
-        (car.r, stanley.r),
-        (driver.v, car.v_cmd),
-        (stanley.delta_sw, motor.delta_sw_cmd),
-        (motor.delta_sw, car.delta_sw_cmd),
-        (motor.delta_sw, stanley.delta_sw_meas),
-    ]
-    blocks: dict[str, Block] = {"driver": driver, "car": car, "path": seen, "controller": stanley, "actuator": motor}
-    return Loop(blocks=blocks, wires=wires)
-
-
-# ---- measuring --------------------------------------------------------------------------------------------------
+    path, stanley = course("paper"), Stanley.of(CAR, dt=DT)
+    car = LinearSingleTrack(vehicle=CAR, dt=DT, substeps=5, v0=SPEED, y0=0.2)
+    return steering_loop(
+        car=placed(car, path, s=1.0, e=0.2),
+        path=path,
+        driver=ConstantSpeed(speed=SPEED, dt=DT),
+        actuator=SteeringActuator(dt=DT),
+        controller=stanley,
+        reference=stanley.reference,
+    )
 
 
 @dataclass
