@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.report.parts import of_metric
-from benchmarks.run.results import Case, Results
+from benchmarks.run.results import Case, Results, good_nets
 from benchmarks.statistics import Interval, interval, share
-from steerkit.metrics import GOOD, TABLE, Metric
+from steerkit.metrics import TABLE, Metric
 
 Curve = Mapping[str, np.ndarray]
 Band = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -65,18 +65,12 @@ def _curves(
     scenario: str, learners: Mapping[str, list[Curve]], x: np.ndarray, at: Callable[[Curve], np.ndarray]
 ) -> Curves:
     rms_e = {name: _band([_held_at(at(c), _rms(c), x, math.inf) for c in runs]) for name, runs in learners.items()}
-    good = {name: _shares([_held_at(at(c), _good(c), x, 0.0) for c in runs]) for name, runs in learners.items()}
+    good = {name: _shares([_held_at(at(c), good_nets(c), x, 0.0) for c in runs]) for name, runs in learners.items()}
     return Curves(scenario, x, rms_e, good, {name: len(runs) for name, runs in learners.items()})
 
 
 def _rms(curve: Curve) -> np.ndarray:
     return np.where(np.isfinite(curve["rms_e"]) & (curve["held"] > 0.5), curve["rms_e"], np.inf)
-
-
-def _good(curve: Curve) -> np.ndarray:
-    bounds = (curve["max_e"] < GOOD.max_e) & (curve["rms_e"] < GOOD.rms_e) & (curve["max_jerk"] < GOOD.max_jerk)
-    kept = bounds & (curve["held"] > 0.5) & (curve["rounds"] >= GOOD.rounds)
-    return np.where(kept, 1.0, 0.0)
 
 
 def _held_at(at: np.ndarray, values: np.ndarray, x: np.ndarray, before: float) -> np.ndarray:

@@ -1,6 +1,7 @@
 """What changed between two results: provenance, cases that came or went, and metrics, case by case."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,13 +66,9 @@ def compare(a: Results, b: Results, *, rel: float = REL, absolute: float = ABS) 
         one, two = first[name], second[name]
         if (one.status, one.error) != (two.status, two.error):
             status.append((name, one.error or one.status, two.error or two.status))
-        for metric in sorted({*one.metrics, *two.metrics}):
-            if f"metric.{metric}" in TIMES:
-                continue
-            x, y = (case.metrics.get(metric, math.nan) for case in (one, two))
-            compared += 1
-            if not same(x, y, rel, absolute):
-                changes.append(Change(name, metric, x, y))
+        before, after = ({k: x for k, x in c.metrics.items() if f"metric.{k}" not in TIMES} for c in (one, two))
+        compared += len({*before, *after})
+        changes += differences(name, before, after, rel, absolute)
     keys = ("commit", "dirty", "source", "versions", "platform", "processor", "cores")
     facts = {key: (a.provenance.get(key), b.provenance.get(key)) for key in keys}
     return Comparison(
@@ -84,6 +81,14 @@ def compare(a: Results, b: Results, *, rel: float = REL, absolute: float = ABS) 
     )
 
 
-def same(a: float, b: float, rel: float, absolute: float) -> bool:
+def differences(
+    case: str, before: Mapping[str, float], after: Mapping[str, float], rel: float, absolute: float
+) -> list[Change]:
+    """Metrics of a case that are not the same within the tolerance, or came or went (NaN on the other side)."""
+    pairs = {name: (before.get(name, math.nan), after.get(name, math.nan)) for name in {**before, **after}}
+    return [Change(case, name, a, b) for name, (a, b) in pairs.items() if not _same(a, b, rel, absolute)]
+
+
+def _same(a: float, b: float, rel: float, absolute: float) -> bool:
     """Are two numbers equal within the tolerance? Two NaN are, and equal infinities."""
     return (math.isnan(a) and math.isnan(b)) or math.isclose(a, b, rel_tol=rel, abs_tol=absolute)

@@ -1,12 +1,11 @@
 """Golden numbers of the small suite `golden`: what they are, what differs, how to renew them."""
 
 import json
-import math
 from collections.abc import Mapping
 from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 
-from benchmarks.run.compare import Change, same
+from benchmarks.run.compare import Change, differences
 from benchmarks.run.results import Results
 from benchmarks.run.runner import run
 from benchmarks.suites import suite
@@ -58,13 +57,9 @@ def kept(file: FilePath) -> tuple[dict[str, dict[str, float]], dict[str, float]]
 
 def difference(new: Numbers, old: Numbers, tolerances: Mapping[str, float]) -> list[Change]:
     """Every number that is not the golden one, and every one that came or went (NaN on the other side)."""
-    changes = []
-    for case in dict.fromkeys([*old, *new]):
-        before, after = old.get(case, {}), new.get(case, {})
-        for metric in dict.fromkeys([*before, *after]):
-            x, y = before.get(metric, math.nan), after.get(metric, math.nan)
-            if not same(x, y, tolerances["rel"], tolerances["abs"]):
-                changes.append(Change(case, metric, x, y))
+    changes = list[Change]()
+    for case in {**old, **new}:
+        changes += differences(case, old.get(case, {}), new.get(case, {}), tolerances["rel"], tolerances["abs"])
     return changes
 
 

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from steerkit._support.files import atomic_write, read_npz, write_npz, write_text
+from steerkit.metrics import GOOD
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,6 +62,12 @@ CURVE = {
 and transitions used until then, and what its test drive of one round came to (NaN: it drove less than a second)."""
 TIMES = ("metric.step_p50_us", "metric.step_p99_us", "cpu_seconds")
 """Columns that measure a machine, and so differ from run to run; all others are the same for the same seeds."""
+
+
+def good_nets(curve: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Did the net of each row of a `CURVE` drive a whole round as `steerkit.metrics.GOOD` asks? (n,)"""
+    within = [curve[name] < getattr(GOOD, name) for name in ("max_e", "rms_e", "max_jerk")]
+    return np.logical_and.reduce([*within, curve["held"] > 0.5, curve["rounds"] >= GOOD.rounds])
 
 
 @dataclass(frozen=True, kw_only=True)

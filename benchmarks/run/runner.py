@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress
 
 from benchmarks.entries import controller
 from benchmarks.run.drives import Policy, drive, shape
@@ -195,7 +195,7 @@ class _Display:
     def __init__(self, bar: Progress, total: int, before: int, quiet: bool):
         self.bar, self.total, self.quiet = bar, total, quiet
         self.count, self.errors = before, 0
-        self.task = bar.add_task("cases", total=total, completed=before, progress="")
+        self.task = bar.add_task("cases", total=total, completed=before)
 
     def finished(self, case: Case) -> None:
         """One more case."""
@@ -203,11 +203,12 @@ class _Display:
         if case.status == "error":
             self.errors += 1
             self.say(f"{case.id}: {case.error}")
-        progress = f"{case.scenario} {case.controller} {case.seed}" + (f", {self.errors} errors" if self.errors else "")
-        self.bar.update(self.task, completed=self.count, progress=progress)
+        errors = f", {self.errors} errors" if self.errors else ""
+        told = f"{self.count} of {self.total} cases: {case.scenario} {case.controller} {case.seed}{errors}"
+        self.bar.update(self.task, completed=self.count, description=told)
         tenth = max(1, self.total // 10)
         if not self.bar.console.is_terminal and (self.count % tenth == 0 or self.count == self.total):
-            self.say(f"{self.count} of {self.total} cases: {progress}")
+            self.say(told)
 
     def say(self, text: str) -> None:
         """A line, unless quiet."""
@@ -218,15 +219,7 @@ class _Display:
 @contextmanager
 def _progress(total: int, before: int, quiet: bool) -> Iterator[_Display]:
     console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[progress]}"),
-    )
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bar:
+    with Progress(console=console, disable=quiet or not console.is_terminal) as bar:
         display = _Display(bar, total, before, quiet)
         if before:
             display.say(f"{before} of {total} cases have finished before; going on")

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.peers.agents import SETTINGS, stable_baselines
 from benchmarks.run.drives import Policy, drive
-from benchmarks.run.results import CURVE
+from benchmarks.run.results import CURVE, good_nets
 from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from steerkit._support.errors import require
 from steerkit.controllers.network_policy import PolicyBlock
@@ -17,7 +17,6 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import offline
 from steerkit.learning.settings import Setting, setting
-from steerkit.metrics import GOOD
 from steerkit.scenario import Scenario
 from steerkit.task import DT
 
@@ -110,8 +109,7 @@ def _agent(training: Training, setting_name: str, seed: int) -> Learnt:
 
     steps = round(60.0 * training.minutes / DT)
     block, curve = stable_baselines(SETTINGS[setting_name], steps=steps, seed=seed, judge=judge)
-    within = {name: curve[name] < getattr(GOOD, name) for name in ("rms_e", "max_e", "max_jerk")}
-    good = np.flatnonzero((curve["held"] > 0.5) & np.logical_and.reduce([*within.values()]))
+    good = np.flatnonzero(good_nets(curve))
     metrics = {
         "transitions": float(curve["transitions"][-1]),
         "driving_minutes": training.minutes,

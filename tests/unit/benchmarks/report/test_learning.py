@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.report import learning
-from benchmarks.run.results import Results
+from benchmarks.run.results import Results, good_nets
 
 
 def test_the_learning_curve_is_the_share_of_seeds_that_are_good_by_then(known: Results) -> None:
@@ -30,4 +30,4 @@ def test_only_a_net_that_meets_the_whole_criterion_is_drawn_as_good(flaw: tuple[
     name, value = flaw
     curve = {"held": 1.0, "rounds": 1.0, "max_e": 0.24, "rms_e": 0.09, "max_jerk": 4.9}
     columns = {key: np.array([number, value if key == name else number]) for key, number in curve.items()}
-    assert learning._good(columns).tolist() == [1.0, 0.0]
+    assert good_nets(columns).tolist() == [True, False]

@@ -160,6 +160,7 @@ def test_an_agent_drives_for_its_minutes_and_is_good_by_the_whole_criterion(monk
         "t": 60.0 * np.arange(1.0, 5.0),
         "transitions": np.arange(4.0),
         "held": np.array([1.0, 0.0, 1.0, 1.0]),
+        "rounds": np.ones(4),
         "max_jerk": np.array([9.0, 1.0, 2.0, 1.0]),
     }
 
