@@ -6,7 +6,6 @@ under other noise the RMS e of the same controller differs by a third in a minut
 """
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -93,10 +92,6 @@ class Changed:
     """Largest true |e| from the change on [m]."""
     failures: tuple[int, ...]
     """How often the learner was taken from the wheel."""
-    max_e_before: float
-    """Before the first change, without its first second."""
-    nets: int
-    computing: float
 
 
 def phases(job: Job) -> list[Scenario]:
@@ -108,7 +103,6 @@ def phases(job: Job) -> list[Scenario]:
 
 def one_change(job: Job) -> Changed:
     """Drive it, then those made for the new car."""
-    began = time.perf_counter()
     require(
         job.car in CHANGES[job.change].cars,
         "changes",
@@ -125,17 +119,7 @@ def one_change(job: Job) -> Changed:
         within, later_x = judged(t - start, e**2, ideal**2)
         rows.append((name, rms(ideal), within, later_x, largest(e), failures[n]))
     best, best_rms_e, recovered, x, max_e, taken = zip(*rows, strict=True)
-    return Changed(
-        best=best,
-        best_rms_e=best_rms_e,
-        recovered=recovered,
-        x=x,
-        max_e=max_e,
-        failures=taken,
-        max_e_before=largest(log["path.e"][(log.t > 1.0) & (log.t < starts[0])]),
-        nets=run.counts.updates,
-        computing=time.perf_counter() - began,
-    )
+    return Changed(best=best, best_rms_e=best_rms_e, recovered=recovered, x=x, max_e=max_e, failures=taken)
 
 
 def driven(before: Scenario, later: Sequence[Scenario], job: Job) -> tuple[LearningRun, list[float], list[int]]:

@@ -95,7 +95,6 @@ class FleetOutcome(Ran):
     jerk_x_oracle: float
     best_on_data_sheet: str
     rms_x_data_sheet: float
-    computing: float
 
 
 def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
@@ -125,7 +124,6 @@ def one_car(job: tuple[Scenario, int, Setting, float]) -> FleetOutcome:
         jerk_x_oracle=over(final, "rms_jerk", truth),
         best_on_data_sheet=on_sheet,
         rms_x_data_sheet=over(final, "rms_e", sheet),
-        computing=trained.computing,
     )
 
 
@@ -158,7 +156,6 @@ def summarise(outcomes: list[FleetOutcome]) -> dict[str, Any]:
         **{name: finite(np.median(values)) for name, values in ratios.items()},
         "worst_rms_x_oracle": finite(np.max(ratios["rms_x_oracle"])),
         "stuck": int(sum(o.stuck for o in outcomes)),
-        "computing_median_s": float(np.median([o.computing for o in outcomes])),
     }
 
 

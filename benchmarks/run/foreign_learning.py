@@ -4,7 +4,6 @@ Part of the study `foreign`. Test drives are a whole round of the course, with a
 """
 
 import math
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,12 +58,10 @@ class Learned(Ran):
     wheel_x: float
     wheel_spread: float
     """By what factor the wheel rate of one of the last nets is off their median; infinite if one did not hold."""
-    computing: float
 
 
 def one_learner(job: Job) -> Learned:
     """Run it and compare its nets."""
-    began = time.perf_counter()
     scenario = scene(job.car, job.v_min, job.v_max, job.seed, job.conditions)
     trained = train(Experiment(setting=DEFAULT, scenario=scenario, minutes=job.minutes, seed=job.seed))
     test, nets, made = job.seed + 1000, trained.nets, dict[int, TrialDrive]()
@@ -88,7 +85,6 @@ def one_learner(job: Job) -> Learned:
         rms_x_1=over(first, "rms_e", told),
         wheel_x=over(final, "rms_wheel_rate_deg", told),
         wheel_spread=spread([wheel_rate(scenario, net, test) for net in nets[-job.last :]]),
-        computing=time.perf_counter() - began,
     )
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -40,8 +39,6 @@ class Trained:
     nets: list[Taken]
     longest_training: float
     """Computing time of the longest training [s]."""
-    computing: float
-    """Wall time of the run [s]."""
 
 
 def train(experiment: Experiment) -> Trained:
@@ -53,13 +50,12 @@ def train(experiment: Experiment) -> Trained:
         if what == "trained":
             nets.append(Taken(run.t, run.counts.failures, len(run.transitions), run.policy))
 
-    began = time.perf_counter()
     run = LearningRun(experiment, watch)
     while not run.done():
         run.drive()
         if run.counts.train_seconds > trainings[-1]:
             trainings.append(run.counts.train_seconds)
-    return Trained(run, nets, float(np.diff(trainings).max(initial=0.0)), time.perf_counter() - began)
+    return Trained(run, nets, float(np.diff(trainings).max(initial=0.0)))
 
 
 SIGNALS = ("path.e", "path.progress", "car.delta_sw", "car.a_y", "supervisor.learning")

@@ -47,7 +47,6 @@ class Outcome:
     final_max_e: float
     final_wheel_rate_deg: float
     longest_training: float
-    computing: float
 
 
 def one_seed(experiment: Experiment) -> Outcome:
@@ -73,7 +72,6 @@ def one_seed(experiment: Experiment) -> Outcome:
         final_max_e=summary.max_e if summary else nan,
         final_wheel_rate_deg=summary.rms_wheel_rate_deg if summary else nan,
         longest_training=trained.longest_training,
-        computing=trained.computing,
     )
 
 
@@ -100,7 +98,6 @@ def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
         "final_max_e",
         "final_wheel_rate_deg",
         "longest_training",
-        "computing",
     ):
         result |= spread(name)
     return result

@@ -10,7 +10,7 @@ from benchmarks.run.fleet import KINDS, FleetOutcome, of_fleet, of_kind, one_car
 from steerkit.learning.settings import setting
 
 CAR = dict(name="fleet-0", seed=0, car="a", delay=0.1, lag=0.2, offset_deg=1.0, play_deg=0.0)
-LEARNT = dict(good=10.0, failures=1, departure=2.0, stuck=0, nets=30, held=True, dead_time=0.15, computing=20.0)
+LEARNT = dict(good=10.0, failures=1, departure=2.0, stuck=0, nets=30, held=True, dead_time=0.15)
 DROVE = dict(rms_e=0.01, max_e=0.1, wheel_deg=40.0, jerk=0.4, rms_x_data_sheet=0.3)
 BESIDE = dict(best="mpc", rms_x_oracle=0.9, wheel_x_oracle=1.0, jerk_x_oracle=1.1, best_on_data_sheet="stanley")
 GOOD = FleetOutcome(**CAR, **LEARNT, **DROVE, **BESIDE)

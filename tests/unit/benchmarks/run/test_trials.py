@@ -105,4 +105,4 @@ def test_every_net_that_took_the_wheel_is_kept_in_its_order() -> None:
         assert earlier.failures <= later.failures
     assert len({id(net.policy) for net in nets}) == len(nets)
     assert nets[-1].transitions <= len(run.transitions)
-    assert 0.0 < trained.longest_training <= run.counts.train_seconds <= trained.computing
+    assert 0.0 < trained.longest_training <= run.counts.train_seconds
