@@ -36,6 +36,8 @@ _EXTRA = {
     "distributed": "distributed",
 }
 """What the extra `bench` brings: module and package."""
+LEADERBOARD = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y", "max_jerk")
+"""Metrics that are shown after a run."""
 Place = Annotated[Path, typer.Argument(help="Directory of results, as `run` wrote it.")]
 
 
@@ -248,23 +250,18 @@ def study(
 
 
 def _leaderboard(results: Results) -> None:
-    """Means over the drives that each controller held, suite by suite."""
-    units = ("RMS e [m]", "max e [m]", "RMS wheel rate [deg/s]", "max a_y [m/s²]", "max jerk [m/s³]")
-    heads = ("controller", "held", *units)
-    for name in dict.fromkeys(case.suite for case in results.cases if case.kind == "drive"):
-        table = Table(*map(escape, heads), title=f"{name}: means over the drives held")
-        drives = [c for c in results.cases if c.suite == name and c.status == "done"]
-        for controller in dict.fromkeys(case.controller for case in drives):
-            mine = [case for case in drives if case.controller == controller]
-            held = [case for case in mine if case.metrics.get("held")]
-            metrics = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y", "max_jerk")
-            cells = [_mean([case.metrics[metric] for case in held]) for metric in metrics]
-            table.add_row(controller, f"{len(held)} of {len(mine)}", *cells)
-        _console().print(table)
+    """The leaderboards of the report, by fewer metrics."""
+    from benchmarks.report import parts
 
-
-def _mean(values: list[float]) -> str:
-    return f"{sum(values) / len(values):.3g}" if values else "-"
+    for name in parts.suites(results):
+        cases = [case for case in results.cases if case.suite == name and case.kind == "drive"]
+        columns, rows = parts.leaderboard(cases, LEADERBOARD)
+        heads = [escape(f"{m.label} [{parts.unit(m)}]") for m in columns]
+        table = Table("controller", "drives", "held", *heads, title=f"{name}: medians over the seeds")
+        for row in rows:
+            table.add_row(row.controller, *[cell.text for cell in row.cells])
+        if rows:
+            _console().print(table)
 
 
 def _changes(changes: Any, title: str) -> Table:

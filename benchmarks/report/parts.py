@@ -138,9 +138,9 @@ def has(cases: Iterable[Case], name: str) -> bool:
     return any(math.isfinite(case.metrics.get(name, math.nan)) for case in cases)
 
 
-def leaderboard(cases: Sequence[Case]) -> tuple[list[Metric], list[Row]]:
+def leaderboard(cases: Sequence[Case], metrics: Sequence[str] = BOARD) -> tuple[list[Metric], list[Row]]:
     """A row a controller: the share of its drives that it held, then the median over seeds of each metric."""
-    columns = [_BY_NAME[name] for name in BOARD if has(cases, name)]
+    columns = [_BY_NAME[name] for name in metrics if has(cases, name)]
     names = controllers(cases)
     ran = {name: [c for c in cases if c.controller == name and c.status != "not installed"] for name in names}
     medians = {m.name: {name: float(np.median(by_seed(ran[name], m))) for name in names if ran[name]} for m in columns}

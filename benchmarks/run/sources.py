@@ -15,7 +15,7 @@ PACKAGES = (
     *("sbx-rl", "jax"),
 )
 """Packages whose version may change the numbers."""
-_NO_NUMBERS = ("__main__.py", "app.py", "report/", "studies/", "run/compare.py", "run/golden.py")
+_NO_NUMBERS = ("__main__.py", "app.py", "tables.py", "report/", "studies/", "run/compare.py", "run/golden.py")
 """Files and folders of benchmarks that only read the results of suites, or have no part in them."""
 
 
