@@ -179,22 +179,13 @@ class PathModel:
 
         x(t + dt) = A x + B rate, where the command that acts from t on is already command(t) + dt*rate.
         """
-        slope, row = (value.full() for value in self._slopes(v))
-        lag = max(self.law.lag, _LEAST_LAG)
-        flow = np.zeros((NX, NX))
-        flow[:4, :5] = slope
-        flow[4, 4], flow[4, 5] = -1.0 / lag, 1.0 / lag
-        a = expm(flow * self.law.dt)
-        return a, self.law.dt * a[:, 5], np.append(row, 0.0)
+        return _linear(self._slopes, v, self.law.lag, self.law.dt)
 
     @cached_property
     def _schedule(self) -> casadi.Function:
         """A, B, the row of a_y, and P of the cost to go, by rows (84,), of v: a cubic spline between the speeds."""
-        values, q = [], self.law.qp.q.full()
-        for v in SPEEDS:
-            a, b, row = self.linear(float(v))
-            values.append(np.concatenate([a.ravel(), b, row, cost_to_go(a, b, q, self.law.q_rate).ravel()]))
-        return casadi.interpolant("schedule", "bspline", [SPEEDS.tolist()], np.ravel(values).tolist())
+        weights = *self.law.qp.q.full().ravel().tolist(), self.law.q_rate
+        return _scheduled(self._slopes.serialize(), self.law.lag, self.law.dt, weights)
 
     def schedule(self, v: Any) -> tuple[Any, Any, Any, Any]:
         """A (6, 6), B (6,), row of a_y (6,) and P (6, 6) at a speed, a number or a symbol."""
@@ -224,6 +215,31 @@ class PathModel:
         n = kappa.shape[0]
         at = casadi.vertcat(casadi.repmat(_within(v), 1, n), casadi.fmin(casadi.fmax(kappa, -KAPPA_HIGH), KAPPA_HIGH).T)
         return self._corners.map(n)(at)
+
+
+def _linear(slopes: casadi.Function, v: float, lag: float, dt: float) -> tuple[Array, Array, Array]:
+    """What `PathModel.linear` says, of its `_slopes`."""
+    slope, row = (value.full() for value in slopes(v))
+    lag = max(lag, _LEAST_LAG)
+    flow = np.zeros((NX, NX))
+    flow[:4, :5] = slope
+    flow[4, 4], flow[4, 5] = -1.0 / lag, 1.0 / lag
+    a = expm(flow * dt)
+    return a, dt * a[:, 5], np.append(row, 0.0)
+
+
+@lru_cache(maxsize=64)
+def _scheduled(slopes: str, lag: float, dt: float, weights: tuple[float, ...]) -> casadi.Function:
+    """`PathModel._schedule`: the same for all dead times of a car, of which an adaptive controller has a law each.
+
+    slopes: CasADi's text of `PathModel._slopes`. weights: of the states (36,), and of the command's rate.
+    """
+    made, values = casadi.Function.deserialize(slopes), []
+    *q, q_rate = weights
+    for v in SPEEDS:
+        a, b, row = _linear(made, float(v), lag, dt)
+        values.append(np.concatenate([a.ravel(), b, row, cost_to_go(a, b, np.reshape(q, (NX, NX)), q_rate).ravel()]))
+    return casadi.interpolant("schedule", "bspline", [SPEEDS.tolist()], np.ravel(values).tolist())
 
 
 @lru_cache(maxsize=64)
