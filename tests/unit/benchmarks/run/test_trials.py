@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +18,7 @@ from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import BANG_BANG, DEFAULT
 from steerkit.metrics import of_log
+from steerkit.paths.courses import straight
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from tests.support.short_run import SHORT
@@ -41,10 +43,11 @@ def test_each_is_judged_as_if_it_drove_alone() -> None:
         assert result.rounds * WORLD.path().length == pytest.approx(log["path.progress"][held][-1], abs=1e-9)
 
 
-def test_the_metrics_are_those_of_the_part_it_drove() -> None:
+def test_the_metrics_are_those_of_the_part_it_drove(tmp_path: Path) -> None:
     lazy = policy(0)  # all weights zero: every action is worth the same, the gentlest wins, and the straight goes on
     zero = tuple(tuple(np.zeros_like(p) for p in net) for net in lazy.nets or ())
-    scenario = Scenario(course="straight")
+    straight(100.0).to_csv(tmp_path / "short.csv")
+    scenario = Scenario(course=str(tmp_path / "short.csv"))
     (result,) = drive_each(scenario, SETTING, [replace(lazy, nets=zero)])
     log = evaluate.drive(scenario, replace(lazy, nets=zero), doe=SETTING.element(), rounds=1.0)
     assert result.held
