@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from benchmarks.judges.opendbc_safety import SafetyJudge
@@ -20,6 +21,7 @@ from steerkit.task import DT
 BEAT = 0.1
 
 
+@cache
 def config_of(name: str, course: str = "highway", **limits: float) -> CarConfig:
     """The shipped file of a production car, for another platform and course."""
     text = shipped("production-car.toml").read_text(encoding="utf-8")

@@ -1,6 +1,5 @@
 """Production cars for tests: behind their port, judged by opendbc's safety code in C."""
 
-from functools import cache
 from typing import Any
 
 import pytest
@@ -10,7 +9,6 @@ pytest.importorskip("opendbc")
 from benchmarks.judges.opendbc_safety import SafetyJudge
 from benchmarks.run.production import PortedCar, config_of
 from steerkit._support import native
-from steerkit.car.config import CarConfig
 from steerkit.car.production.platforms import platform
 
 judged = pytest.mark.skipif(native.compiler() is None, reason="opendbc's safety code is C, and there is no compiler")
@@ -23,14 +21,9 @@ EACH = (
 """A platform of each maker and each kind of its frames."""
 
 
-@cache
-def config(name: str) -> CarConfig:
-    return config_of(name)
-
-
 def ported(name: str, **more: Any) -> PortedCar:
     """On the highway, by hand: its wheel is never quite straight."""
-    return PortedCar(config(name), judge=SafetyJudge(platform(name)), s=10.0, **more)
+    return PortedCar(config_of(name), judge=SafetyJudge(platform(name)), s=10.0, **more)
 
 
 def steered(car: PortedCar, seconds: float, delta_sw: float = 0.0, *, enable: bool = True) -> None:

@@ -8,11 +8,11 @@ import pytest
 
 pytest.importorskip("opendbc")
 
-from benchmarks.run.production import altered
+from benchmarks.run.production import altered, config_of
 from steerkit.car.production.car_frames import CarFrames, Said
 from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import Frame, Port
-from tests.support.production import EACH, config, judged, ported, steered
+from tests.support.production import EACH, judged, ported, steered
 
 
 @judged
@@ -39,7 +39,7 @@ def test_a_port_reads_the_simulated_car_and_the_safety_code_lets_it_steer(name: 
 @pytest.mark.parametrize("name", EACH[::3])
 def test_what_a_car_says_is_what_the_port_tells(name: str) -> None:
     """Each flag in its turn, and none of the others."""
-    frames, found = CarFrames(platform(name)), Port(config(name))
+    frames, found = CarFrames(platform(name)), Port(config_of(name))
     cases: dict[str, Said] = {
         "BELT_OPEN": Said(v=20.0, angle_deg=1.0, belt=False),
         "NOT_IN_DRIVE": Said(v=20.0, angle_deg=1.0, drive=False),

@@ -28,7 +28,7 @@ def test_without_opendbc_a_port_says_what_to_install(monkeypatch: pytest.MonkeyP
     platforms.listed.cache_clear()
     try:
         with pytest.raises(ConfigError, match=r"pip install 'steerkit-control\[production\]'"):
-            config_of("TESLA_MODEL_3")
+            config_of.__wrapped__("TESLA_MODEL_3")
     finally:
         platforms.listed.cache_clear()
 

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 
 pytest.importorskip("opendbc")
 
+from benchmarks.run.production import config_of
 from benchmarks.studies import production_cars as study
 from steerkit.car.gate import gate
 from steerkit.car.production.platforms import limits_of, platform
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import yaw_gain
-from tests.support.production import config, judged, ported, steered
+from tests.support.production import judged, ported, steered
 
 NAMES = ("TESLA_MODEL_3", "NISSAN_LEAF", "TOYOTA_RAV4_TSS2_2023", "FORD_MUSTANG_MACH_E_MK1", "TOYOTA_COROLLA")
 
@@ -23,7 +24,7 @@ NAMES = ("TESLA_MODEL_3", "NISSAN_LEAF", "TOYOTA_RAV4_TSS2_2023", "FORD_MUSTANG_
 @pytest.mark.parametrize("name", NAMES)
 def test_the_gate_itself_keeps_within_the_limits_of_its_port(name: str) -> None:
     """The port behind it clips once more: a gate that let through too much would not be seen there."""
-    limits, port = config(name).gate, limits_of(platform(name), config(name).vehicle)
+    limits, port = config_of(name).gate, limits_of(platform(name), config_of(name).vehicle)
     for v in (8.0, 15.0, 28.0):
         rate = np.interp(v, *zip(*port.rates)) if port.rates else port.rate_max
         last = felt = 0.0
@@ -58,7 +59,7 @@ def test_nothing_that_passes_the_gate_is_rejected_by_the_safety_code(name: str, 
 
 
 def test_a_gate_with_a_table_of_rates_lets_no_more_through_than_a_line_of_it() -> None:
-    limits = config("NISSAN_LEAF").gate
+    limits = config_of("NISSAN_LEAF").gate
     (v_0, rate_0), (v_1, rate_1), (v_2, rate_2) = limits.rates
     assert limits.rate(0.5 * (v_0 + v_1)) == pytest.approx(0.5 * (rate_0 + rate_1))
     assert limits.rate(0.25 * v_1 + 0.75 * v_2) == pytest.approx(0.25 * rate_1 + 0.75 * rate_2)
@@ -75,7 +76,7 @@ def test_whichever_way_a_car_steers_the_gate_keeps_to_its_lateral_acceleration(
     understeer: float, v: float, wishes: list[float]
 ) -> None:
     """One that oversteers feels more of the same wheel; in steady cornering, to a quantum."""
-    limits = replace(config("FORD_MUSTANG_MACH_E_MK1").gate, understeer=understeer)
+    limits = replace(config_of("FORD_MUSTANG_MACH_E_MK1").gate, understeer=understeer)
     most = limits.steer_ratio * math.atan(limits.a_y_max / (v * yaw_gain(v, limits.wheelbase, understeer)))
     last = min(most, limits.delta_sw_max)  # it turns too slowly to get there from 0 in so few frames
     for wish in wishes * 20:

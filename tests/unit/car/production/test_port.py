@@ -4,14 +4,14 @@ import pytest
 
 pytest.importorskip("opendbc")
 
-from benchmarks.run.production import PortedCar, ProductionWorld
+from benchmarks.run.production import PortedCar, ProductionWorld, config_of
 from benchmarks.studies import production_cars as study
 from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import OTHER, REJECTED_BUS, RELEASED, SILENCE, Frame
 from steerkit.car.production.simulated import ProductionCar
 from steerkit.car.simulated import Fault
 from steerkit.estimators.torque_map import LateralMap
-from tests.support.production import config, judged, ported, steered
+from tests.support.production import judged, ported, steered
 
 
 @judged
@@ -70,7 +70,7 @@ def test_another_sender_of_frames_that_steer_is_noticed_and_the_port_lets_go(nam
 def test_equal_frames_give_equal_frames() -> None:
     frames: list[list[Frame]] = []
     for _ in range(2):
-        car = PortedCar(config("HYUNDAI_ELANTRA_2021"), s=10.0)
+        car = PortedCar(config_of("HYUNDAI_ELANTRA_2021"), s=10.0)
         heard: list[Frame] = []
         car.listen = heard.append
         car.advance(0.8)
@@ -83,7 +83,7 @@ def test_equal_frames_give_equal_frames() -> None:
 @judged
 def test_a_torque_car_is_driven_with_a_map_that_is_wrong() -> None:
     true = LateralMap(gain=1.2 * platform("TOYOTA_COROLLA_TSS2").lateral.gain, friction=0.12, offset=0.15)
-    world = ProductionWorld(config("TOYOTA_COROLLA_TSS2"), seed=2, lateral=true)
+    world = ProductionWorld(config_of("TOYOTA_COROLLA_TSS2"), seed=2, lateral=true)
     drive = study.drive_of(world, "lqr")
     while len(drive.e) < 80 and not drive.ended:
         drive.step()
@@ -98,7 +98,7 @@ def test_the_car_s_own_watchdog_lets_go_when_the_port_no_longer_sends() -> None:
     car.listen = heard.append
     car.advance(1.2)
     steered(car, 0.3)
-    made = ProductionCar(config("TESLA_MODEL_3"), s=10.0)
+    made = ProductionCar(config_of("TESLA_MODEL_3"), s=10.0)
     made.hear(0.0, next(frame for frame in heard[::-1] if frame.frame_id == 0x488))
     made.advance(0.05)
     assert made.enabled

@@ -9,14 +9,14 @@ import pytest
 
 pytest.importorskip("opendbc")
 
-from benchmarks.run.production import ProductionWorld
+from benchmarks.run.production import ProductionWorld, config_of
 from benchmarks.studies import production_cars as study
 from steerkit.car import processes, recording
 from steerkit.car.client import CarClient
 from steerkit.car.protocol import Beat
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
-from tests.support.production import config, judged
+from tests.support.production import judged
 
 
 @judged
@@ -32,7 +32,7 @@ def test_a_drive_through_gate_port_and_safety_code(name: str, controller: str) -
 @judged
 def test_an_understeering_car_is_given_the_wheel_that_it_needs_at_25_metres_a_second() -> None:
     """With bounds on a_y of a car without understeer its gate would keep a Corolla from the path's curvature."""
-    world = ProductionWorld(config("TOYOTA_COROLLA"), seed=1, v_min=25.0, v_max=26.0, s=5620.0)  # the tightest bend
+    world = ProductionWorld(config_of("TOYOTA_COROLLA"), seed=1, v_min=25.0, v_max=26.0, s=5620.0)  # the tightest bend
     drive = study.drive_of(world, "lqr")
     while len(drive.e) < 120 and not drive.ended:
         drive.step()
@@ -77,7 +77,7 @@ def test_whatever_goes_wrong_nothing_asks_for_steering_soon(what: str) -> None:
 
 
 def test_a_car_that_was_not_allowed_is_not_engaged() -> None:
-    world = ProductionWorld(config("TESLA_MODEL_3"), judged=False)
+    world = ProductionWorld(config_of("TESLA_MODEL_3"), judged=False)
     world.car.faults.append(Fault(kind="disabled", target="report", start=0.0))
     drive = study.drive_of(world, "lqr")
     for _ in range(20):
@@ -132,7 +132,7 @@ def test_a_killed_car_server_leaves_a_production_car_to_its_human(tmp_path: Path
 @judged
 def test_after_braking_it_engages_again_once_cruise_control_does() -> None:
     """The safety code allows steering at an edge of cruise control, which braking ends and the human engages again."""
-    world = ProductionWorld(config("TOYOTA_COROLLA"))
+    world = ProductionWorld(config_of("TOYOTA_COROLLA"))
     for k in range(60):
         if k == 12:
             world.car.faults.append(Fault(kind="brake", target="report", start=world.t, length=0.5))
