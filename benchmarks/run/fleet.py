@@ -166,5 +166,5 @@ def fleet(
     jobs = [(car, seed, setting, minutes) for car in cars for seed in seeds]
     with computing(where) as those:
         outcomes = those.in_order(one_car, jobs, "cars")
-    show(f"{len(cars)} cars, {minutes:g} minutes", outcomes)
+    show(f"{len(cars)} cars, {minutes:g} minutes", [{"name": o.name, "car": o.car} | asdict(o) for o in outcomes])
     return {**summarise(outcomes), "outcomes": [asdict(o) for o in outcomes]}
