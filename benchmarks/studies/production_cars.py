@@ -26,7 +26,7 @@ import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,7 @@ from steerkit.diagram.units import degrees_of
 from steerkit.learning.settings import setting
 from steerkit.learning.trainer import Job, Result, SimulatedTrainer
 from steerkit.paths.courses import straight
+from steerkit.paths.path import Path as Course
 from steerkit.scenario.catalogue import AUTO, make_recovery
 from steerkit.task import DT, TRIP
 
@@ -241,9 +242,15 @@ def altered(piece: tuple[str, int, int]) -> dict[str, Any]:
     return {"port": name, "altered": tried, "passed": passed, **_hostile(name, wanted // 20, rng)}
 
 
+@cache
+def _endless() -> Course:
+    """A straight that nobody drives to its end."""
+    return straight(20000.0)
+
+
 def _hostile(name: str, frames: int, rng: np.random.Generator) -> dict[str, Any]:
     """What leaves the port while the gate is asked for anything, on a straight road."""
-    config = replace(config_of(name), course=straight(20000.0))
+    config = replace(config_of(name), course=_endless())
     judge = SafetyJudge(platform(name))
     car = PortedCar(config, judge=judge, s=10.0)
     t, last, wish, due, sent = 0.0, math.nan, 0.0, 1.5, 0

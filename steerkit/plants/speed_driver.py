@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -255,7 +255,7 @@ class Playback(Block):
 
     @cached_property
     def _table(self) -> Table:
-        return m.rising(self.angles, self.speeds)
+        return _recorded(self.angles, self.speeds)
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
         return self.Y(self._at(t - self.delay, 0), self._at(t, 1))
@@ -263,3 +263,9 @@ class Playback(Block):
     def _at(self, t: Scalar, column: int) -> Scalar:
         """A column of the record at time t [s]."""
         return m.between(self._table, m.clip(t / self.dt + 1e-9, 0.0, float(len(self._table))), column)
+
+
+@lru_cache(maxsize=4)
+def _recorded(angles: tuple[float, ...], speeds: tuple[float, ...]) -> Table:
+    """A record's table: identification plays the same record a hundred times, each time with another delay."""
+    return m.rising(angles, speeds)

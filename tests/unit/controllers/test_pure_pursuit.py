@@ -31,16 +31,18 @@ def test_on_a_circle_it_steers_that_circle(v: float, radius: float) -> None:
     assert steered(pursuit, **at) == pytest.approx(PASSAT.steer_ratio * math.atan(PASSAT.wheelbase / radius), rel=2e-4)
 
 
+SLANTING = Path.from_waypoints(25.0 * np.outer(range(3), (0.8, 0.6)), closed=False)
+
+
 @given(over=st.floats(0.0, 30.0))
 def test_beyond_the_end_of_an_open_path_it_goes_straight_on(over: float) -> None:
     pursuit = PurePursuit.of(PASSAT, ROAD)
     assert steered(pursuit, s=50.0, x=50.0 + over, y=0.0, psi=0.0, v=5.0) == pytest.approx(0.0, abs=1e-9)
     aside = steered(pursuit, s=50.0, x=50.0 + PASSAT.l_r + over, y=0.2, psi=0.0, v=9.0)
     assert aside == pytest.approx(steered(pursuit, s=20.0, x=20.0 + PASSAT.l_r, y=0.2, psi=0.0, v=9.0))
-    slanting = Path.from_waypoints(25.0 * np.outer(range(3), (0.8, 0.6)), closed=False)
     ahead = 50.0 + PASSAT.l_r + over
     there = {"x": 0.8 * ahead - 0.6 * 0.2, "y": 0.6 * ahead + 0.8 * 0.2, "psi": math.atan2(0.6, 0.8)}
-    assert steered(PurePursuit.of(PASSAT, slanting), s=50.0, v=9.0, **there) == pytest.approx(aside)
+    assert steered(PurePursuit.of(PASSAT, SLANTING), s=50.0, v=9.0, **there) == pytest.approx(aside)
 
 
 def test_nan_shows_and_a_negative_speed_is_a_standstill() -> None:

@@ -38,7 +38,7 @@ def test_the_place_is_found_wherever_the_car_starts(s, e, psi_e):
 @pytest.mark.parametrize("e", [-0.5, 0.0, 0.5])
 @pytest.mark.parametrize("s", [2.622 * 60.0 / 4.0, 2.622 * 60.0 * 3.0 / 4.0])
 def test_about_a_crossing_the_strand_that_the_car_follows_is_found_even_if_the_other_is_nearer(s, e, along):
-    path = courses.figure_eight(60.0)
+    path = courses.course("figure-eight")
     tracker = PathTracker(path=path)
     u = inputs(tracker, pose_beside(path, s + along, e, 0.0))
     y = tracker.output(0.0, tracker.settle(0.0, tracker.init(), u), u)
