@@ -174,7 +174,8 @@ def test_a_dumb_terminal_gets_lines_and_still_keys_and_ends_in_order(tmp_path: P
     assert recorded.of("/state")[-1]["to"] == "OFF"
 
 
-def test_without_a_terminal_there_are_lines(tmp_path: Path) -> None:
+def test_without_a_terminal_there_are_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "Popen", Forked)
     words = (*DRIVE, "--minutes", "0.02", "--json", "--realtime")
     command = [sys.executable, "-c", PROGRAM, *words]
     done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=WAIT)

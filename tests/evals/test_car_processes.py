@@ -141,6 +141,7 @@ def test_another_interface_of_python_can(tmp_path: Path) -> None:
     assert frames == same > 10
 
 
+@pytest.mark.usefixtures("forked")
 def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"bus interface = 'nope', channel = 'x': cannot be opened \(.* is not known"):
         open_bus({"interface": "nope", "channel": "x"})

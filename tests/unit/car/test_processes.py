@@ -14,12 +14,13 @@ from tests.support.command_lines import run
 KIT = "dbw-kit.toml"
 
 
-@pytest.mark.parametrize("command", ["server", "simulate"])
-def test_a_process_of_the_car_imports_no_learner(command: str) -> None:
+def test_no_process_of_the_car_imports_a_learner() -> None:
     """Nor a command line: it is up sooner, and what is not there cannot fail. The bus is refused, after all imports."""
-    words = [command, json.dumps({"config": KIT, "channel": "socketcan:none"})]
-    code = f"import sys\nfrom steerkit.car.processes import main\ntry: main({words!r})\n"
-    code += "except BaseException as error: print(error, file=sys.stderr)\nprint(*sorted(sys.modules))"
+    how = json.dumps({"config": KIT, "channel": "socketcan:none"})
+    code = "import sys\nfrom steerkit.car.processes import main\n"
+    for command in ("server", "simulate"):
+        code += f"try: main({[command, how]!r})\nexcept BaseException as error: print(error, file=sys.stderr)\n"
+    code += "print(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)
     names = done.stdout.splitlines()[-1].split()
     assert {"steerkit.car.config", "can"} <= {*names}, done.stderr
