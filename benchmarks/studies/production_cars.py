@@ -81,6 +81,8 @@ JUDGED = 60.0
 ATTACKS = ("lock", "side to side", "away", "chance", "slowly")
 RATIOS = (0.9, 1.0, 1.1)
 """Of the attacked car's steering ratio, over that of its file."""
+WAITS_FOR_STRAIGHT = 120.0
+"""For how long a drive may wait for a piece of the course on which its steering can take over [s]."""
 WAITS, STEERS = 25.0, 15.0
 """For how long its policy waits, and steers [s]."""
 PAUSES = 3.0
@@ -165,7 +167,7 @@ def driven(piece: tuple[str, str, float, int, tuple[float, float] | None]) -> di
     name, controller, seconds, seed, speeds = piece
     world = ProductionWorld(config_of(name), seed=seed, **_between(speeds))
     drive = drive_of(world, controller)
-    while len(drive.e) < round(seconds / DT) and not drive.ended and world.t < seconds + 10.0:
+    while len(drive.e) < round(seconds / DT) and not drive.ended and world.t < seconds + WAITS_FOR_STRAIGHT:
         drive.step()
     e, counts = np.array(drive.e or [math.nan]), world.car.car.counts
     held = bool(np.nanmax(np.abs(e)) < TRIP) and len(e) >= round(seconds / DT) and not drive.ended

@@ -376,7 +376,7 @@ class Reading:
             origin_deg=self.origin(),
             writer=writer,
             gate=limits.within(gate) if limits else gate,
-            states=states,
+            states=replace(states, a_y_engage=min(states.a_y_engage, limits.a_y_engage)) if limits else states,
             motion=motion,
             controllers=self.controllers(),
             port=port.name if port else "",

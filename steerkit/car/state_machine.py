@@ -82,6 +82,8 @@ class StateLimits:
     """Largest |psi_e| to engage at [rad]."""
     delta_engage: float = number(radians_of(20.0), "rad", low=radians_of(1.0), high=radians_of(90.0))
     """Largest |request - measured| to engage at [rad]."""
+    a_y_engage: float = number(20.0, "m/s^2", low=0.1, high=20.0)
+    """Largest |a_y| to engage at [m/s^2]; of a car steered by torque, that from which its torque can take over."""
     v_engage_min: float = number(0.5, "m/s", low=0.1, high=20.0)
     """Slowest speed to engage at [m/s]."""
     v_engage_max: float = number(9.0, "m/s", low=0.2, high=40.0)
@@ -132,6 +134,8 @@ class Facts(NamedTuple):
     """Speed of the kit's report."""
     e: float = math.nan
     psi_e: float = math.nan
+    a_y: float = math.nan
+    """As measured, or v r of the pose."""
     quality: float = 0.0
     torque_reports: float = 0.0
     """Reports with more than `torque_max`, less a third of those since with less."""
@@ -309,6 +313,9 @@ def engaging(li: StateLimits, f: Facts) -> Iterator[str]:
         yield f"e: e = {f.e:.2f} m, limit {li.e_engage:g} m"
     if not abs(f.psi_e) <= li.psi_e_engage:
         yield f"psi_e: psi_e = {degrees_of(f.psi_e):.0f} deg, limit {degrees_of(li.psi_e_engage):.0f} deg"
+    if not abs(f.a_y) <= li.a_y_engage:
+        slow = f"limit {li.a_y_engage:.2f} m/s^2: its steering rises too slowly to take over in this bend"
+        yield f"a_y: a_y = {f.a_y:.2f} m/s^2, {slow}"
     if not li.v_engage_min <= f.v <= li.v_engage_max:
         yield f"speed: v = {f.v:.2f} m/s, expected {li.v_engage_min:g} to {li.v_engage_max:g}"
     if not f.remaining > li.end_margin + li.end_warning * max(f.v, 0.0):

@@ -18,7 +18,9 @@ from steerkit.vehicles import Vehicle
 Matrices = Callable[[float], tuple[Any, Any]]
 """v [m/s] -> A (2, 2), B (2,) of (beta, r)' = A (beta, r) + B delta; `LinearSingleTrack.matrices` is one."""
 
-_REACH = 0.5  # m: what a car with a slew is taken to be off at most
+_REACH, _REACH_OF_SLEW = 0.5, 0.4
+"""What a car with a slew is taken to be off at most [m], and over its slew [s^3]: from further off it would be asked
+for more than the slew gives in time, and swing until it leaves the path."""
 _MOTION = 5  # e, theta, beta, r, delta
 _SLOWEST = 1.0  # m/s: below it, the gains stay and theta is formed with this speed
 
@@ -227,7 +229,7 @@ class Lqr(LimitedLaw):
             preview_points=preview_points,
             slew=slew,
             a_y_limit=a_y_limit,
-            e_reach=None if slew is None else _REACH,
+            e_reach=None if slew is None else min(_REACH, _REACH_OF_SLEW * slew),
             **geometry,
             dt=dt,
         )

@@ -158,6 +158,8 @@ WITHIN = 0.95
 _KEPT = 0.5
 """Of a slow torque controllers count on this share: the rest is what it takes to turn friction round. With all of it
 told, LQR and MPC swing by a metre on the slowest (0.6 of the largest torque in a second)."""
+OFF = 0.3
+"""How far beside its path a car may come while its steering takes over in a bend [m]."""
 _WORST_ROLL = 0.06 * 9.81  # m/s^2: opendbc `safety/lateral.h`, AVERAGE_ROAD_ROLL
 
 
@@ -201,6 +203,8 @@ class PortLimits:
     """And the largest [m/s^2]."""
     late: float = 0.0
     """And what turning its friction round takes in the mean [s], for controllers more lag."""
+    a_y_engage: float = 20.0
+    """And the largest to engage at (`taken_over_from`) [m/s^2]."""
 
     def within(self, limits: GateLimits) -> GateLimits:
         """A gate's limits, no wider than these."""
@@ -225,6 +229,22 @@ def _turning(rates: tuple[tuple[float, float], ...], car: Vehicle) -> float:
     return float(np.min(rate * v * v / (float(car.steer_ratio) * length)))
 
 
+def taken_over_from(slew: float, late: float, most: float) -> float:
+    """The largest lateral acceleration a in which a torque can take over, within OFF of the path [m/s^2].
+
+    The human lets go: a_y falls to 0, waits for `late` [s] and rises by `slew` [m/s^3] up to `most` [m/s^2]. Until it
+    is a again, the car is e aside at a speed w; what is left, m = most - a, then brakes that, for T while it rises:
+
+        e = a late^2/2 + a^2 late/slew + a^3/(3 slew^2),  w = a late + a^2/(2 slew),  T = min(m/slew, sqrt(2 w/slew)),
+        off = e + w T - slew T^3/6 + (w - slew T^2/2)^2/(2 m)
+    """
+    a = most * np.linspace(0.0, 1.0, 200, endpoint=False)
+    e, w, m = a * late**2 / 2.0 + a**2 * late / slew + a**3 / (3.0 * slew**2), a * late + a**2 / (2.0 * slew), most - a
+    t = np.minimum(m / slew, np.sqrt(2.0 * w / slew))
+    off = e + w * t - slew * t**3 / 6.0 + (w - slew * t**2 / 2.0) ** 2 / (2.0 * m)
+    return float(a[off <= OFF].max())
+
+
 def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
     """The limits of a platform's port, for a car of these numbers."""
     controls = platform.controls
@@ -243,6 +263,7 @@ def limits_of(platform: Platform, vehicle: Vehicle) -> PortLimits:
             slew=_KEPT * slew,
             torque_limit=most,
             late=late,
+            a_y_engage=taken_over_from(slew, platform.delay + late, most),
         )
     angles: Any = controls.ANGLE_LIMITS
     if getattr(angles, "MAX_LATERAL_ACCEL", 0.0):

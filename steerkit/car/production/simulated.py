@@ -64,8 +64,10 @@ class ProductionCar(SimulatedCar):
         if self.fault("deaf", t):
             return
         command = self.frames.command(frame.frame_id, frame.data, float(self.now.v))
-        if command is not None:
-            self._asked, self._asked_at = command.value if command.active else math.nan, t
+        if command is not None and command.active:
+            self._asked, self._asked_at = command.value, t
+        elif command is not None:  # without a request in the frame, a torque of 0 is still one for SILENCE
+            self._asked = math.nan if self.frames.asks[frame.frame_id][2] else 0.0
 
     def said(self) -> list[Frame]:
         """The frames of the car's buses since it was asked last."""
