@@ -12,6 +12,7 @@ from steerkit._support.errors import Checked, in_one_line, known, number, requir
 from steerkit._support.plugins import imported, is_outside
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
+from steerkit.controllers.limits import REACH_OF_SLEW
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.margins import Doubt, SteeredCar, least_damping
 from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
@@ -195,6 +196,14 @@ _Q_RATE_OF_TORQUE = 4e-3
 """Weight of the command's rate for a car steered by torque: at that of the others, a gain 25 % off makes it swing."""
 
 
+def _of_slew(slew: float, kind: Any) -> dict[str, float]:
+    """Settings of predictive steering for a slew [m/s^3]."""
+    return {
+        "q_rate": _Q_RATE_OF_TORQUE * max(1.0, 5.0 / slew) ** 2.5,
+        "e_reach": min(kind.e_reach, REACH_OF_SLEW * slew),
+    }
+
+
 def _predictive(name: str) -> Callable[[DesignModel], Block]:
     """What makes the predictive controller of that class."""
 
@@ -207,7 +216,7 @@ def _predictive(name: str) -> Callable[[DesignModel], Block]:
             delay=model.delay + 0.5 * model.hold,
             lag=model.lag,
             rate_limit=min(model.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
-            **({} if model.slew is None else {"q_rate": _Q_RATE_OF_TORQUE * max(1.0, 5.0 / model.slew) ** 2.5}),
+            **({} if model.slew is None else _of_slew(model.slew, kind)),
             **({} if model.a_y_limit is None else {"a_y_limit": min(model.a_y_limit, kind.a_y_limit)}),
             fallback=_stanley(model),
             budget=model.budget,

@@ -43,7 +43,7 @@ def test_the_shipped_one_is_right() -> None:
     assert config.bus == {"interface": "slcan", "channel": "/dev/ttyACM0", "bitrate": 500000}
     assert config.quantities["v_kit"].gain == pytest.approx(1 / 3.6)
     assert len(config.fault_flags) == 5
-    assert len(LIMITS) == 49  # what each is: tests/golden/interface.json
+    assert len(LIMITS) == 50  # what each is: tests/golden/interface.json
 
 
 def test_the_summary_tells_all_that_is_read_and_written_and_every_limit() -> None:

@@ -38,6 +38,7 @@ GOOD = Facts(
     v_kit=5.1,
     e=0.1,
     psi_e=0.02,
+    a_y=0.5,
     quality=4.0,
     enabled=True,
     heartbeat_age=0.1,
@@ -82,6 +83,7 @@ BAD_IN: dict[str, dict[str, dict[str, Any]]] = {
         "command differs": {"delta_sw": 0.5},
         "e": {"e": 0.51},
         "psi_e": {"psi_e": -0.27},
+        "a_y": {"a_y": -20.1},
         "speed": {"v": 0.4, "v_kit": 0.4},
         "kit enabled": {"foreign_enable": 1e-9},
         "witness": {"astray": 0.19},
@@ -264,6 +266,7 @@ def test_exactly_at_its_limit_a_check_holds_while_driving(facts: dict[str, Any])
     [
         {"e": LIMITS.e_engage},
         {"psi_e": LIMITS.psi_e_engage},
+        {"a_y": -LIMITS.a_y_engage},
         {"request": 0.0, "delta_sw": LIMITS.delta_engage},
         {"v": LIMITS.v_engage_min},
         {"v": LIMITS.v_engage_max},

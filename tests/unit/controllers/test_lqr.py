@@ -175,6 +175,7 @@ def test_for_a_wheel_steered_by_torque_steps_cost_more_and_an_error_counts_up_to
     lqr = replace(lqr, slew=None, rate_limit=1e3, a_y_max=1e3)
     a, b, c = (lqr.output(0.0, lqr.init(), lqr.D(e=e, **u)).delta_sw for e in (-0.45, -0.5, -3.0))
     assert a < b == c
+    assert Lqr.of(PASSAT, MATRICES, preview_points=2, slew=0.5).e_reach == pytest.approx(0.2)
 
 
 def test_standstill_counts_as_walking_pace_and_a_bend_within_the_wheelbase_is_regular() -> None:

@@ -13,7 +13,8 @@ pytest.importorskip("opendbc")
 from benchmarks.run.production import config_of
 from benchmarks.studies import production_cars as study
 from steerkit.car.gate import gate
-from steerkit.car.production.platforms import limits_of, platform
+from steerkit.car.production.platforms import OFF, limits_of, platform, taken_over_from
+from steerkit.car.state_machine import StateLimits
 from steerkit.vehicles import vehicle
 from steerkit.vehicles.rollout import yaw_gain
 from tests.support.production import judged, ported, steered
@@ -94,6 +95,27 @@ def test_a_torque_s_limits_are_those_of_its_port(name: str) -> None:
     per_second = {"TOYOTA_COROLLA_TSS2": 15 * 100 / 1500, "HONDA_CIVIC_BOSCH": 3.0, "VOLKSWAGEN_GOLF_MK7": 4 * 50 / 300}
     assert limits.jerk_max == pytest.approx(min(5.0, per_second[name] * found.lateral.gain))
     assert limits.torque_limit == pytest.approx(found.lateral.gain * (1.0 - found.lateral.friction))
+
+
+def test_a_torque_takes_over_where_it_brings_the_car_back_in_time() -> None:
+    """Without lateness and bound it comes as far aside while a_y rises to a as until it is back: 2 a^3/(3 slew^2)."""
+    assert taken_over_from(1.2, 0.0, 3.0) == pytest.approx((1.5 * OFF * 1.2**2) ** (1 / 3), abs=0.02)
+    slew, late, most, dt = 1.07, 0.225, 1.6, 1e-4
+    bend = taken_over_from(slew, late, most)
+    furthest = []
+    for a in (bend, 0.8 * bend):
+        t = e = aside = given = 0.0
+        while t < late or aside > 0.0:
+            t, given = t + dt, min(most, given + slew * dt) if t >= late else 0.0
+            aside += (a - given) * dt
+            e += aside * dt
+        furthest.append(e)
+    assert 0.95 * OFF < furthest[0] < 1.01 * OFF
+    assert furthest[1] < 0.65 * OFF
+    limits = limits_of(platform("CHRYSLER_PACIFICA_2020"), vehicle("chrysler-pacifica-2020"))
+    assert limits.a_y_engage == pytest.approx(bend, abs=0.02)
+    assert config_of("CHRYSLER_PACIFICA_2020").states.a_y_engage == limits.a_y_engage
+    assert config_of("NISSAN_LEAF").states.a_y_engage == StateLimits.a_y_engage
 
 
 @judged

@@ -42,6 +42,18 @@ def test_an_understeering_car_is_given_the_wheel_that_it_needs_at_25_metres_a_se
     assert world.car.car.counts.rejected == 0
 
 
+def test_slow_steering_is_not_engaged_in_a_bend_and_the_human_steers_until_it_is() -> None:
+    """A Pacifica's frames have their request set from 2 s on, engaged or not: what steers is a torque."""
+    world = ProductionWorld(config_of("CHRYSLER_PACIFICA_2020"), judged=False, seed=0, v_min=22.0, v_max=28.0)
+    drive = study.drive_of(world, "lqr")
+    while world.t < 4.0:
+        drive.step()
+    assert world.mode is Mode.STANDBY
+    assert "a_y: a_y = 0.99 m/s^2, limit 0.59 m/s^2" in world.core.obstacles()[0]
+    assert abs(world.car.on_path.e) < 0.05
+    assert world.car.now.a_y == pytest.approx(world.car.on_path.kappa * world.car.now.v**2, abs=0.1)
+
+
 FLAGS = ("door", "steering fault")
 """Told by a flag of the car's, as cruise control is: test_car_frames.py sees each."""
 
