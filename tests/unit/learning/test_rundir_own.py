@@ -12,6 +12,7 @@ from steerkit.cli.drive import driven
 from steerkit.learning import rundir
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.learn import learn
+from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import PAPER, Setting
 from steerkit.scenario import Scenario
 from tests.support import own_parts
@@ -21,7 +22,7 @@ HOME = "tests.support.own_parts"
 
 
 def test_own_place_setting_cost_and_element_are_kept_and_found_again(tmp_path: Path) -> None:
-    setting = Patient(fit=PAPER.fit, cost=Dear(price=4.0), doe=f"{HOME}:Geared", name="mine")
+    setting = Patient(fit=FitSetting(epochs=20), cost=Dear(price=4.0), doe=f"{HOME}:Geared", name="mine")
     experiment = Experiment(scenario=Yard(radius=30.0), setting=setting, minutes=0.1)
     learn(experiment, tmp_path / "run")
     kept = json.loads((tmp_path / "run" / "run.json").read_text())["experiment"]
@@ -81,7 +82,8 @@ def test_an_element_that_is_none_is_refused_with_the_setting(name: str, says: st
 
 
 def test_a_finished_run_learns_on_with_the_numbers_of_a_longer_one(tmp_path: Path) -> None:
-    short = Experiment(setting=replace(PAPER, retrain_every_m=20.0), scenario=Scenario(course="circle"), minutes=0.15)
+    setting = replace(PAPER, fit=FitSetting(epochs=20), retrain_every_m=20.0)
+    short = Experiment(setting=setting, scenario=Scenario(course="circle"), minutes=0.15)
     learn(short, tmp_path / "run")
     longer = replace(short, minutes=0.3)
     run, whole = learn(longer, tmp_path / "run"), learn(longer)
