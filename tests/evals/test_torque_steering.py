@@ -56,13 +56,18 @@ def test_stanley_behind_the_predictor_keeps_a_calm_wheel(gain: float, rate: floa
     assert judged(log)[1].max() < e
 
 
-@pytest.mark.parametrize(("name", "slew"), [("stanley-delay", 0.7), ("lqr", 0.5), ("mpc", 0.5)])
-def test_slow_steering_is_not_asked_for_an_approach_that_it_cannot_end(name: str, slew: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "slew", "most", "later"),
+    [("stanley-delay", 0.7, 1.4, 0.05), ("lqr", 0.5, 2.0, 0.1), ("mpc", 0.5, 2.0, 0.1)],
+)
+def test_slow_steering_is_not_asked_for_an_approach_that_it_cannot_end(
+    name: str, slew: float, most: float, later: float
+) -> None:
     """As behind some production cars' ports; as steep as Stanley's arctan asks, or with all of e in their costs, they
     get 6.5 to 8 m off."""
     log = recovered(name, "sweeping-1003", 15.0, 20.0, turned=0.0, slew=slew, delay=0.2)
-    assert abs(log["path.e"]).max() < 2.0
-    assert judged(log)[1].max() < 0.1
+    assert abs(log["path.e"]).max() < most
+    assert judged(log)[1].max() < later
 
 
 def test_one_that_does_not_know_them_swings() -> None:
