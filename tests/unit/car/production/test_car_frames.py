@@ -80,3 +80,25 @@ def test_the_other_way_of_reading_a_command_is_its_inverse() -> None:
         )
         assert off is not None
         assert not off.active
+
+
+@pytest.mark.parametrize(("name", "told"), [("TOYOTA_COROLLA", True), ("CHRYSLER_PACIFICA_2020", False)])
+def test_a_human_steers_once_nothing_is_asked_for_at_once_where_the_frames_tell(name: str, told: bool) -> None:
+    """A Chrysler's do not: its torque may be 0 for a moment, and is 0 for longer where nobody asks."""
+    car = ported(name)
+    heard: list[Frame] = []
+    car.listen = heard.append
+    car.advance(2.2)  # before, opendbc does not steer a Chrysler
+    steered(car, 0.3, -0.3)
+    frames, t = car.car.frames, car.car.t
+    frame = next(f for f in heard[::-1] if f.frame_id in frames.asks)
+    now = frames.command(frame.frame_id, frame.data, float(car.car.now.v))
+    assert now is not None
+    assert now.active
+    data = altered(frames, frame.frame_id, frame.data, by=-now.value, active=False)
+    car.car.hear(t, frame._replace(data=data))
+    assert math.isnan(car.car._asked) == told
+    car.car._steer(t)
+    assert car.car.enabled != told
+    car.car._steer(t + 0.11)
+    assert not car.car.enabled
