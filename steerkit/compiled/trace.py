@@ -215,12 +215,20 @@ def with_parameters(loop: Loop, values: dict[str, Any]) -> Loop:
     Names may go into nested dataclasses: `"car.vehicle.m"`. Raises TraceError for an unknown field, or one that its
     block has already worked into other numbers when it was built; what the block raises for a number out of range.
     """
-    changed: dict[str, Any] = {}
-    for name, value in values.items():
-        block, _, field = name.partition(".")
-        if block not in loop.blocks or not field:
-            raise TraceError(f"parameter '{name}': expected 'block.field'; blocks: {', '.join(loop.names)}")
-        changed[block] = replaced(changed.get(block, loop.blocks[block]), field.split("."), value, name)
+    changed, left = dict[str, Any](), dict(values)
+    while left:
+        errors = dict[str, ValueError]()
+        for name, value in left.items():
+            block, _, field = name.partition(".")
+            if block not in loop.blocks or not field:
+                raise TraceError(f"parameter '{name}': expected 'block.field'; blocks: {', '.join(loop.names)}")
+            try:
+                changed[block] = replaced(changed.get(block, loop.blocks[block]), field.split("."), value, name)
+            except ValueError as error:  # another parameter may move its bound: v_min = 9 where v_max was 8
+                errors[name] = error
+        if len(errors) == len(left):
+            raise next(iter(errors.values()))
+        left = {name: left[name] for name in errors}
     for name, block in changed.items():
         loop = loop.with_block(name, block)
     return loop
