@@ -215,22 +215,14 @@ def with_parameters(loop: Loop, values: dict[str, Any]) -> Loop:
     Names may go into nested dataclasses: `"car.vehicle.m"`. Raises TraceError for an unknown field, or one that its
     block has already worked into other numbers when it was built; what the block raises for a number out of range.
     """
-    changed, left = dict[str, Any](), dict(values)
-    while left:
-        errors = dict[str, ValueError]()
-        for name, value in left.items():
-            block, _, field = name.partition(".")
-            if block not in loop.blocks or not field:
-                raise TraceError(f"parameter '{name}': expected 'block.field'; blocks: {', '.join(loop.names)}")
-            try:
-                changed[block] = replaced(changed.get(block, loop.blocks[block]), field.split("."), value, name)
-            except ValueError as error:  # another parameter may move its bound: v_min = 9 where v_max was 8
-                errors[name] = error
-        if len(errors) == len(left):
-            raise next(iter(errors.values()))
-        left = {name: left[name] for name in errors}
-    for name, block in changed.items():
-        loop = loop.with_block(name, block)
+    changed = dict[str, dict[str, Any]]()
+    for name, value in values.items():
+        block, _, field = name.partition(".")
+        if block not in loop.blocks or not field:
+            raise TraceError(f"parameter '{name}': expected 'block.field'; blocks: {', '.join(loop.names)}")
+        changed.setdefault(block, {})[field] = value
+    for block, fields in changed.items():
+        loop = loop.with_block(block, replaced(loop.blocks[block], fields, block))
     return loop
 
 
@@ -258,29 +250,40 @@ def parameter(loop: Loop, name: str) -> Any:
         raise
 
 
-def replaced(owner: Any, fields: Sequence[str], value: Any, name: str) -> Any:
-    """`owner`, a block or what is in one, with another value in a field of it; `name` is what errors call that."""
-    field, *inner = fields
+def replaced(owner: Any, values: Mapping[str, Any], name: str) -> Any:
+    """`owner`, a block or what is in one, called `name` in errors, with other values in fields, such as `vehicle.m`.
+
+    All at once, as fields may bound each other.
+    """
     known = [f.name for f in dataclasses.fields(owner)] if dataclasses.is_dataclass(owner) else []
-    if field not in known:
-        kind = type(owner).__name__
-        raise TraceError(f"parameter '{name}': {kind} has no field '{field}'; fields: {', '.join(known) or 'none'}")
-    new = replaced(getattr(owner, field), inner, value, name) if inner else value
+    new, inside = dict[str, Any](), dict[str, dict[str, Any]]()
+    for path, value in values.items():
+        field, _, inner = path.partition(".")
+        if field not in known:
+            fields = f"{type(owner).__name__} has no field '{field}'; fields: {', '.join(known) or 'none'}"
+            raise TraceError(f"parameter '{name}.{path}': {fields}")
+        if inner:
+            inside.setdefault(field, {})[inner] = value
+        else:
+            new[field] = value
+    new |= {field: replaced(getattr(owner, field), those, f"{name}.{field}") for field, those in inside.items()}
     try:
-        return dataclasses.replace(owner, **{field: new})
+        return dataclasses.replace(owner, **new)
     except Exception:  # its checks cannot judge a symbol or an array: copy the fields as they are
-        if isinstance(value, float):
+        if all(isinstance(value, float) for value in values.values()):
             raise
+        owner = dataclasses.replace(owner, **{field: value for field, value in new.items() if isinstance(value, float)})
         members = [item for base in type(owner).__mro__ for item in vars(base).items()]
         cached = {n for n, v in members if isinstance(v, functools.cached_property)}
         made = {f.name for f in dataclasses.fields(owner) if not f.init} | vars(owner).keys() - {*known, *cached}
         if isinstance(owner, Wrapper):  # the ports of the block inside, which no number decides
             made -= {"D", "U", "Y", "inputs", "outputs", "pure", *(p.name for p in (*owner.inputs, *owner.outputs))}
         if made:
+            first = next(path for path, value in values.items() if not isinstance(value, float))
             raise TraceError(
-                f"parameter '{name}': {type(owner).__name__} computes {', '.join(sorted(made))} when it is built and "
-                "refuses a symbol; make these properties, or choose another parameter"
+                f"parameter '{name}.{first}': {type(owner).__name__} computes {', '.join(sorted(made))} when it is "
+                "built and refuses a symbol; make these properties, or choose another parameter"
             ) from None
         copy = object.__new__(type(owner))
-        vars(copy).update({n: v for n, v in vars(owner).items() if n not in cached} | {field: new})
+        vars(copy).update({n: v for n, v in vars(owner).items() if n not in cached} | new)
         return copy

@@ -313,12 +313,10 @@ def _start(loop: Loop, cars: Mapping[str, np.ndarray]) -> LoopState:
     states = []
     for name, block in loop.blocks.items():
         own = {field: numbers.tolist() for field, numbers in cars.items() if field.partition(".")[0] == name}
+        fields = [field.partition(".")[2] for field in own]
         each = [block.init()] if not own else []
         for row in zip(*own.values()):
-            one = block
-            for field, value in zip(own, row):
-                one = replaced(one, field.split(".")[1:], value, field)
-            each.append(one.init())
+            each.append(replaced(block, dict(zip(fields, row)), name).init())
             size = f"{', '.join(own)}: the state of {name} has {len(each[0])} or {len(each[-1])} numbers by its value"
             require(len(each[0]) == len(each[-1]), "sweep", f"{size}; make a loop for each value")
         states.append(state_like(each[0], map(np.array, zip(*each))) if own else each[0])

@@ -203,7 +203,7 @@ class PortLimits:
     """And the largest [m/s^2]."""
     late: float = 0.0
     """And what turning its friction round takes in the mean [s], for controllers more lag."""
-    a_y_engage: float = 20.0
+    a_y_engage: float = math.inf
     """And the largest to engage at (`taken_over_from`) [m/s^2]."""
 
     def within(self, limits: GateLimits) -> GateLimits:

@@ -36,7 +36,7 @@ def test_errors_name_the_block_and_the_way_out() -> None:
         compile(loop.with_block("decay", derived), backend="python", parameters=["decay.a"])
 
 
-def test_parameters_that_bound_each_other_are_set_in_the_order_that_holds() -> None:
+def test_parameters_that_bound_each_other_are_set_at_once() -> None:
     """Both ways: above what the other was, and below."""
     loop = Loop(blocks={"driver": SpeedDriver(v_min=4.0, v_max=8.0)}, wires=[])
     for values in ({"v_min": 9.0, "v_max": 9.5}, {"v_max": 2.0, "v_min": 1.0}):

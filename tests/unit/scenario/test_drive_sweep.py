@@ -10,7 +10,7 @@ import steerkit
 from steerkit.compiled import TraceError
 from steerkit.diagram.simulation import Log
 from steerkit.metrics import measures_of_log
-from steerkit.plants.speed_driver import ConstantSpeed
+from steerkit.plants.speed_driver import ConstantSpeed, SpeedDriver
 from steerkit.scenario.drive import sweep
 
 PASSAT, PATH = steerkit.vehicle("vw-passat"), steerkit.course("circle")
@@ -106,3 +106,12 @@ def test_three_parameters_have_a_table_and_no_picture() -> None:
     assert {len(column) for column in found.columns.values()} == {8}
     with pytest.raises(ValueError, match="expected one or two"):
         found.plot()
+
+
+def test_speeds_that_bound_each_other_are_swept_together() -> None:
+    """Above the speeds of the loop that is swept; a slowest speed above the fastest is refused."""
+    loop = loop_of().with_block("driver", SpeedDriver(v_min=4.0, v_max=8.0))
+    found = sweep(loop, {"driver.v_min": [9.0], "driver.v_max": [9.0, 10.0]}, 1.0, ["rms_e"], backend="python")
+    assert np.isfinite(found["rms_e"]).all()
+    with pytest.raises(ValueError, match=r"v_max = 8.0 .*expected 9 to"):
+        sweep(loop, {"driver.v_min": [9.0], "driver.v_max": [8.0]}, 1.0, ["rms_e"], backend="python")
