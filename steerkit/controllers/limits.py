@@ -12,10 +12,6 @@ from steerkit.task import STOP
 from steerkit.vehicles import Vehicle, require_vehicle
 from steerkit.vehicles.rollout import SLOWEST, slewed
 
-REACH_OF_SLEW = 0.4
-"""The largest |e| that counts for a car steered by torque, over its slew [s^3]: LQR and MPC ask for more than a slower
-slew gives in time where they see more, and swing ever further."""
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LimitedLaw(Block):

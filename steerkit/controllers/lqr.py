@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from steerkit._support.errors import check_numbers, number, require
-from steerkit.controllers.limits import REACH_OF_SLEW, LimitedLaw, limited
+from steerkit.controllers.limits import LimitedLaw, limited
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Array, Scalar, Table
@@ -18,7 +18,9 @@ from steerkit.vehicles import Vehicle
 Matrices = Callable[[float], tuple[Any, Any]]
 """v [m/s] -> A (2, 2), B (2,) of (beta, r)' = A (beta, r) + B delta; `LinearSingleTrack.matrices` is one."""
 
-_REACH = 0.5  # m: what a car with a slew is taken to be off at most
+_REACH, _REACH_OF_SLEW = 0.5, 0.2
+"""What a car with a slew is taken to be off at most [m], and over its slew [s^3]: seeing more, the law asks for more
+than the slew gives in time, and swings ever further; with 0.4, where the slew is half of what it is told."""
 _MOTION = 5  # e, theta, beta, r, delta
 _SLOWEST = 1.0  # m/s: below it, the gains stay and theta is formed with this speed
 
@@ -227,7 +229,7 @@ class Lqr(LimitedLaw):
             preview_points=preview_points,
             slew=slew,
             a_y_limit=a_y_limit,
-            e_reach=None if slew is None else min(_REACH, REACH_OF_SLEW * slew),
+            e_reach=None if slew is None else min(_REACH, _REACH_OF_SLEW * slew),
             **geometry,
             dt=dt,
         )

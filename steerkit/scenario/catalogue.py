@@ -12,7 +12,6 @@ from steerkit._support.errors import Checked, in_one_line, known, number, requir
 from steerkit._support.plugins import imported, is_outside
 from steerkit.controllers.adaptive import Adaptive
 from steerkit.controllers.delay import delayed_stanley
-from steerkit.controllers.limits import REACH_OF_SLEW
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.margins import Doubt, SteeredCar, least_damping
 from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
@@ -194,13 +193,16 @@ def _lqr(design_model: DesignModel, **table: Any) -> Block:
 
 _Q_RATE_OF_TORQUE = 4e-3
 """Weight of the command's rate for a car steered by torque: at that of the others, a gain 25 % off makes it swing."""
+_REACH_OF_SLEW = 0.4
+"""The largest |e| that such a car's programme sees, over its slew [s^3]: from further off it swings; with less, it
+comes back slowly."""
 
 
 def _of_slew(slew: float, kind: Any) -> dict[str, float]:
     """Settings of predictive steering for a slew [m/s^3]."""
     return {
         "q_rate": _Q_RATE_OF_TORQUE * max(1.0, 5.0 / slew) ** 2.5,
-        "e_reach": min(kind.e_reach, REACH_OF_SLEW * slew),
+        "e_reach": min(kind.e_reach, _REACH_OF_SLEW * slew),
     }
 
 

@@ -70,5 +70,17 @@ def test_slow_steering_is_not_asked_for_an_approach_that_it_cannot_end(
     assert judged(log)[1].max() < later
 
 
+def test_lqr_holds_where_the_slew_is_half_of_what_it_is_told() -> None:
+    """It swings by 10 m where an error counts up to twice as far."""
+    told = SCENARIO.with_(
+        course="sweeping-1007", steering={"slew": 2.0, "delay": 0.2}, driver={"v_min": 12.0, "v_max": 12.0}
+    )
+    loop = assembled(told.with_(steering={"slew": 1.0}), controller("lqr", told))
+    car: Any = placed(loop.blocks["car"], told.path(), s=50.0, e=1.0)
+    log = simulate(loop.with_block("car", car), 30.0, every=5, allow_nonfinite=True)
+    assert abs(log["path.e"]).max() < 1.1
+    assert judged(log)[1].max() < 0.02
+
+
 def test_one_that_does_not_know_them_swings() -> None:
     assert rms(judged(recovered("stanley", "sweeping-1003", 16.0, 20.0))[1]) > 1.0
