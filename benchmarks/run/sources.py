@@ -10,10 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = (
-    *("numpy", "scipy", "torch", "casadi", "control", "commonroad-vehicle-models", "do-mpc", "stable-baselines3"),
-    *("sbx-rl", "jax"),
-)
+PACKAGES = ("numpy", "scipy", "torch", "casadi", "control", "commonroad-vehicle-models", "do-mpc", "stable-baselines3")
 """Packages whose version may change the numbers."""
 _NO_NUMBERS = ("__main__.py", "app.py", "tables.py", "report/", "studies/", "run/compare.py", "run/golden.py")
 """Files and folders of benchmarks that only read the results of suites, or have no part in them."""

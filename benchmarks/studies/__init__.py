@@ -30,7 +30,6 @@ _EXTRA = {
     "foreign": "peers",
     "gym_steps": "gym",
     **dict.fromkeys(("production_cars", "proving"), "production"),
-    "scoreboard": "peers",
 }
 """Studies that need an extra of the package, and which."""
 _OF_MANY = {"joblib": "bench", "distributed": "bench"}

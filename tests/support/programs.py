@@ -51,23 +51,9 @@ def python(
 ) -> subprocess.CompletedProcess[str]:
     """What `python WORDS` does and prints, in a fork of this process: its imports are there, all else is its own.
 
-    Where this process has imported jax, it starts from nothing.
-
     words: `-m MODULE ...`, `-c CODE ...` or `FILE ...`. What depends on a start from nothing (the time that it takes, a
     terminal, signals, a program that stays) starts `sys.executable` instead. Raises subprocess.TimeoutExpired.
     """
-    if "jax" in sys.modules:  # its threads do not live on in a fork, which would wait for them for ever
-        here = str(Path(__file__).parents[2])  # nothing of tests is imported: it runs beside a wheel, too
-        path = os.pathsep.join(filter(None, (environment.get("PYTHONPATH"), here)))
-        return subprocess.run(
-            [sys.executable, *words],
-            cwd=folder,
-            env={**environment, "PYTHONPATH": path},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=seconds,
-        )
     _prepare()
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err, tempfile.TemporaryFile("w+") as new:
         child = os.fork()
@@ -147,7 +133,7 @@ class Forked(subprocess.Popen[str]):
     """`python -m MODULE ...` or `-c CODE ...` as a fork: imports take longer than most drives of the tests."""
 
     def _execute_child(self, args: Any, *how: Any) -> None:
-        if args[0] != sys.executable or args[1] not in ("-m", "-c") or "jax" in sys.modules:  # see `python`
+        if args[0] != sys.executable or args[1] not in ("-m", "-c"):
             super()._execute_child(args, *how)  # type: ignore[misc]
             return
         _prepare()
@@ -229,12 +215,10 @@ def _alone() -> None:
 
 
 def forking(set_to: Callable[[Any, str, Any], None] = setattr) -> None:
-    """What multiprocessing and joblib start are forks of this process, too; not where it has imported jax.
+    """What multiprocessing and joblib start are forks of this process, too.
 
     set_to: `monkeypatch.setattr`, for a test that starts them itself.
     """
-    if "jax" in sys.modules:
-        return
     spawned = util.spawnv_passfds  # type: ignore[attr-defined]
 
     def spawn(path: Any, args: Sequence[str], fds: Collection[int]) -> int:

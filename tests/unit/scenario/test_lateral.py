@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerkit.controllers.lateral import ChallengeController
+from benchmarks.foreign_cars import CARS
+from steerkit.controllers.lateral import ChallengeController, LateralMpc
 from steerkit.controllers.stanley import Stanley
 from steerkit.scenario import Scenario
 from steerkit.scenario.lateral import LateralTarget, lateral_controller, lateral_cost_of, lateral_drive, lateral_loop
@@ -55,6 +56,19 @@ def test_the_cost_is_that_of_what_was_driven() -> None:
     assert cost["total_cost"] == pytest.approx(50.0 * cost["lataccel_cost"] + cost["jerk_cost"])
     assert cost["jerk_cost"] == pytest.approx(100.0 * 0.5 * 0.5**2, rel=0.05)  # the sine's own
     assert cost["lataccel_cost"] < 0.1
+
+
+@pytest.mark.parametrize(("times", "q_step"), [(0.5, 1000.0), (1.5, 1000.0), (0.75, 100.0), (1.25, 100.0)])
+def test_a_wrong_dead_time_does_not_swing_within_what_the_step_cost_is_said_to_hold(
+    times: float, q_step: float
+) -> None:
+    """Hardly steering costs 1,360 on such targets; that of the right dead time is 150."""
+    torque = CARS["torque"]
+    scenario = Scenario(vehicle={**torque.vehicle, "plant": torque.plant}, steering=dict(torque.steering))
+    told = scenario.design_model()
+    block = LateralMpc(response=LateralMpc.told(times * told.delay, told.lag), q_step=q_step)
+    log = lateral_drive(scenario, LateralTarget.drawn(7001), block, seed=7001)
+    assert lateral_cost_of(log)["total_cost"] < 600.0
 
 
 def test_a_drawn_target_is_its_seeds_and_drivable() -> None:
