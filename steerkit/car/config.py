@@ -400,7 +400,7 @@ class Reading:
 
     def port(self) -> tuple[platforms.Platform | None, dict[str, Any]]:
         """The platform of a production car and the line to it, and what such a car adds to the tables."""
-        table = self.table("port", ("opendbc", "line", "channel", "channels", "interface", "bitrate"))
+        table = self.table("port", ("opendbc", "line", "channel"))
         if "port" not in self.data:
             return None, {}
         found = self.made("", platforms.platform, self.entry("port", table, "opendbc", str))

@@ -22,14 +22,14 @@ class OpenLoop(Wrapper):
     """Wraps a steering controller and steers a prescribed wave, as the manoeuvres of vehicle testing ask.
 
         delta_sw = base                                 before `wait` and after the wave's end,
-        delta_sw = trim + amplitude w(tau - wait - delay)   between; with `on_top`, base in the place of trim
+        delta_sw = trim + amplitude w(tau - wait)   between; with `on_top`, base in the place of trim
 
     base: delta_sw of `block`. trim: what it was at the wave's start, through a first-order low-pass of 0.5 s, so that
     the wave begins from the angle that drives straight on. w: the wave, linear between its samples. tau counts from the
     first sample, and anew from the first one with another `number`: waves are exchanged while the state goes on.
 
     Ports and sample time are those of `block`, which goes on from its own angle; it needs the output delta_sw. State:
-    that of `block`, then tau [s], the number, the trim [rad]. amplitude and delay may be `(N,)` arrays in a batch.
+    that of `block`, then tau [s], the number, the trim [rad]. amplitude may be an `(N,)` array in a batch.
     Source: ISO 15037-1 (general conditions: straight ahead, then the input, with the wheel held).
     """
 
@@ -43,8 +43,6 @@ class OpenLoop(Wrapper):
     """Of the steering wheel, + = left [rad]."""
     wait: float = number(0.0, "s", low=0.0, high=1e4)
     """For so long `block` steers first [s]."""
-    delay: Scalar = number(0.0, "s", low=0.0, high=10.0)
-    """How much later the wave acts, for a batch of cars with a dead time each [s]."""
     on_top: bool = False
     """Does `block` go on steering under the wave?"""
     number: float = number(0.0, "1", low=0.0, high=1e9)
@@ -75,8 +73,8 @@ class OpenLoop(Wrapper):
     def output(self, t: Any, x: State, u: Any) -> Any:
         y = self.inner_output(t, x, u)
         tau, trim = self._since(x) - self.wait, x[-1]
-        runs = m.both(tau >= -1e-9, tau < self.seconds + self.delay - 1e-9)
-        place = m.clip((tau - self.delay) / self.spacing + 1e-9, 0.0, float(len(self._table)))
+        runs = m.both(tau >= -1e-9, tau < self.seconds - 1e-9)
+        place = m.clip(tau / self.spacing + 1e-9, 0.0, float(len(self._table)))
         steered = (y.delta_sw if self.on_top else trim) + self.amplitude * m.between(self._table, place)
         return y._replace(delta_sw=m.where(runs, steered, y.delta_sw))
 
@@ -85,7 +83,7 @@ class OpenLoop(Wrapper):
         inner = self.block.update(t, self.inner(x), u, own)
         tau, trim = self._since(x), x[-1]
         share = self.dt / (0.5 + self.dt)
-        waits = m.either(tau < self.wait - 1e-9, tau >= self.wait + self.seconds + self.delay - 1e-9)
+        waits = m.either(tau < self.wait - 1e-9, tau >= self.wait + self.seconds - 1e-9)
         trim = m.where(waits, trim + share * (own.delta_sw - trim), trim)
         return (*inner, tau + self.dt, 0.0 * x[-2] + self.number, trim)
 

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 from steerkit._support.errors import known
 from steerkit.car.config import CarConfig
-from steerkit.car.ports import lost, open_bus, python_can
 from steerkit.car.production.car_frames import steering_messages
 from steerkit.car.production.platforms import Platform, platform
 from steerkit.diagram.units import degrees_of, radians_of
@@ -249,7 +248,7 @@ class Port:
         return [(reader.frame_id, reader.write(values, count=self._count)) for reader in self._readers]
 
 
-LINES = ("panda", "python-can", "socket")
+LINES = ("panda", "socket")
 """What a port may reach its car by: `[port] line`."""
 _HEAD = struct.Struct("<IBB")
 """Of a frame in a socket: id, bus, length of the data."""
@@ -262,16 +261,10 @@ _BEAT = 0.3  # s between two heartbeats; a panda without one for seconds no long
 def line_of(table: dict[str, Any], platform: Platform) -> "Line":
     """The line that `[port]` describes, open; raises ValueError for a kind that is none, OSError where it is not there.
 
-    table: `line`, `channel` (a panda's serial number, "" for the only one; HOST:PORT of a simulated car), `channels`
-    (of python-can, by the number of the car's bus), `interface` and `bitrate` of python-can.
+    table: `line`, `channel` (a panda's serial number, "" for the only one; HOST:PORT of a simulated car).
     """
-    match known(str(table.get("line", "panda")), LINES, "[port] line"):
-        case "panda":
-            return PandaLine(platform, str(table.get("channel", "")))
-        case "socket":
-            return SocketLine(str(table.get("channel", "")))
-        case _:
-            return CanLine(table)
+    line, channel = known(str(table.get("line", "panda")), LINES, "[port] line"), str(table.get("channel", ""))
+    return PandaLine(platform, channel) if line == "panda" else SocketLine(channel)
 
 
 class PandaLine:
@@ -282,10 +275,7 @@ class PandaLine:
         try:
             from panda import Panda
         except ImportError as error:
-            raise OSError(
-                "[port] line = 'panda': its library is not installed (github.com/commaai/panda); "
-                "or give line = 'python-can'"
-            ) from error
+            raise OSError("[port] line = 'panda': its library is not installed (github.com/commaai/panda)") from error
         try:
             self._panda = Panda(serial or None)
             safety = platform.params.safetyConfigs[-1]
@@ -311,43 +301,6 @@ class PandaLine:
         with contextlib.suppress(Exception):
             self._panda.set_safety_mode(0)  # silent: the car is its maker's again
             self._panda.close()
-
-
-class CanLine(contextlib.ExitStack):
-    """Adapters of python-can, one for each bus of the car. No safety code stands between: the gate and the port are
-    the last word, and the maker's camera must be disconnected by other means."""
-
-    def __init__(self, table: dict[str, Any]):
-        super().__init__()
-        self._buses: dict[int, Any] = {}
-        more: dict[str, Any] = {key: table[key] for key in ("interface", "bitrate") if key in table}
-        for number, channel in enumerate(table.get("channels", ())):
-            if channel != "":
-                self._buses[number] = open_bus({**more, "channel": channel})
-                self.callback(self._buses[number].shutdown)
-
-    def receive(self) -> list[Frame]:
-        frames = []
-        for number, bus in self._buses.items():
-            try:
-                while (message := bus.recv(0.0)) is not None:
-                    if not (message.is_error_frame or message.is_remote_frame):
-                        frames.append(Frame(message.arbitration_id, bytes(message.data), number))
-            except Exception as error:
-                raise lost(error) from error
-        return frames
-
-    def send(self, frames: Sequence[Frame], *, steering: bool, t: float) -> None:
-        can = python_can()
-        for frame_id, data, number in frames:
-            if number in self._buses:
-                message = can.Message(
-                    arbitration_id=frame_id, data=data, is_extended_id=frame_id >= 0x800, is_fd=len(data) > 8
-                )
-                try:
-                    self._buses[number].send(message)
-                except Exception as error:
-                    raise lost(error) from error
 
 
 def _heard(end: socket.socket) -> Iterator[tuple[bytes, Any]]:
@@ -421,4 +374,4 @@ class SocketServer(contextlib.ExitStack):
                 self._end.sendto(text, self._port)
 
 
-Line = PandaLine | CanLine | SocketLine
+Line = PandaLine | SocketLine

@@ -47,14 +47,6 @@ def test_on_top_the_controller_goes_on_steering() -> None:
     assert steered(block, 60) - bare(60) == pytest.approx(wave, abs=1e-9)
 
 
-def test_a_delay_moves_the_wave_and_its_end() -> None:
-    early, late = (
-        steered(OpenLoop(block=STANLEY, wave=TRIANGLE, spacing=0.5, amplitude=0.8, delay=d, on_top=True), 60)
-        for d in (0.0, 0.2)
-    )
-    assert (late - bare(60))[4:] == pytest.approx((early - bare(60))[:-4], abs=1e-9)
-
-
 def test_another_number_begins_anew_in_the_middle_of_a_drive() -> None:
     first = OpenLoop(block=STANLEY, wave=TRIANGLE, spacing=0.5, amplitude=0.8, number=1.0, on_top=True)
     second = OpenLoop(block=STANLEY, wave=TRIANGLE, spacing=0.5, amplitude=0.4, number=2.0, on_top=True)
