@@ -8,9 +8,7 @@ of the result is one period. That is exact and no approximation by the slowest b
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import control
@@ -22,12 +20,8 @@ from steerkit.analysis.systems import FromControl as FromControl
 from steerkit.analysis.systems import Period, port_names, signal_name
 from steerkit.analysis.systems import to_control as to_control
 from steerkit.diagram.maths import Array
-from steerkit.diagram.units import degrees_of
-from steerkit.plots.style import COLOURS, PALETTE, new_figure, styled
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from steerkit.diagram.loop import Loop, LoopState
     from steerkit.diagram.simulation import Signal
 
@@ -180,30 +174,6 @@ def margins(system: Any) -> Margins:
     return Margins(gain, below, phase, min(delays, default=math.inf), crossing)
 
 
-@dataclass(frozen=True)
-class Point:
-    """A loop at one value of what was varied: its opened loop, its margins, its slowest closed-loop poles first."""
-
-    value: float
-    open_loop: Any
-    margins: Margins | None
-    """None where the closed loop is unstable."""
-    poles: Array
-
-
-def over(make: "Callable[[float], Loop]", values: Sequence[float], signal: str) -> list[Point]:
-    """Margins and poles of `make(value)`, broken at a signal, for each value: a speed, a delay, a stiffness."""
-    points = []
-    for value in values:
-        opened = break_at(make(value), signal)
-        poles = control.feedback(opened).poles()
-        margins_here: Margins | None = None
-        with suppress(UnstableError):
-            margins_here = margins(opened)
-        points.append(Point(value, opened, margins_here, poles[np.argsort(-np.abs(poles))]))
-    return points
-
-
 def _named(signals: Sequence[str], samples: Sequence[int], opened: Sequence[str]) -> tuple[list[int], list[str]]:
     """Which entries are shown of signals with so many samples each, and their names."""
     numbers: list[int] = []
@@ -224,26 +194,3 @@ def _joined(a: Array, b: Array, c: Array) -> list[int]:
     reached = ways @ (np.abs(b) > _TINY).any(axis=1)
     seen = (np.abs(c) > _TINY).any(axis=0) @ ways
     return [int(i) for i in np.flatnonzero(reached & seen)]
-
-
-@styled
-def plot_over(points: Mapping[str, Sequence[Point]], *, xlabel: str = "v [m/s]", title: str = "") -> "Figure":
-    """Phase margin, delay margin and the largest closed-loop pole over what was varied: a line a name.
-
-    points: as `over` gives them. Where the closed loop is unstable the margins have a gap and the pole is above 1.
-    """
-    figure, (phase, delay, pole) = new_figure(3, title=title)
-    for colour, (name, varied) in zip(PALETTE, points.items()):
-        x = [point.value for point in varied]
-        margins_of = [point.margins for point in varied]
-        phases = [math.nan if t is None else degrees_of(t.phase) for t in margins_of]
-        delays = [math.nan if t is None else t.delay for t in margins_of]
-        largest = [abs(point.poles[0]) if len(point.poles) else 0.0 for point in varied]
-        for panel, values in ((phase, phases), (delay, delays), (pole, largest)):
-            panel.plot(x, values, "o-", ms=3, color=colour, label=name)
-    pole.axhline(1.0, color=COLOURS["limit"], lw=0.9)
-    phase.set(ylabel="phase margin [deg]", ylim=(0.0, 90.0))
-    delay.set(ylabel="delay margin [s]", ylim=(0.0, None))
-    pole.set(ylabel="largest |pole|", xlabel=xlabel)
-    phase.legend(loc="upper right", ncols=2)
-    return figure

@@ -48,7 +48,6 @@ BEFORE = """    "Stanley": drive(scenario, Stanley.of(passat)),
     "Stanley, textbook": drive(scenario, Stanley.textbook(passat)),
 }"""
 SHORTER = {
-    "analysis": {"[2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]": "[2.0, 9.0]"},
     "looking": {"fps=5": "fps=1"},
     "tutorial": {
         "minutes=0.75": "minutes=0.1",

@@ -16,10 +16,8 @@ import pytest
 from matplotlib.collections import Collection
 from matplotlib.patches import Patch
 
-from steerkit.analysis import over, plot_over
 from steerkit.cli.log import Contents, contents, picture
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.gym.vector_env import Painter
 from steerkit.identification.fit import Identified, Prediction
@@ -38,7 +36,7 @@ from steerkit.scenario import Scenario
 from steerkit.scenario.drive import Sweep
 from tests.support.diagrams import LOOPS, small
 from tests.support.places import ROOT
-from tests.support.straight_road import PASSAT, steered
+from tests.support.straight_road import PASSAT
 
 GOLDEN = ROOT / "tests/golden/pictures.json"
 LOOK = """text color facecolor edgecolor linewidth linestyle marker markersize markeredgewidth drawstyle zorder alpha
@@ -83,12 +81,6 @@ def painted() -> Any:
     return painter._scene
 
 
-def margins() -> Any:
-    """A picture of loops on a straight road, one of them unstable at 9 m/s."""
-    textbook = over(lambda v: steered(v, Stanley.textbook(PASSAT)), [5.0, 9.0], "controller.delta_sw")
-    return plot_over({"a": over(steered, [5.0, 9.0], "controller.delta_sw"), "b": textbook})
-
-
 def seen(scene: Any, show: Callable[..., Any], *at: float) -> Any:
     """The scene at a moment."""
     show(scene, *at)
@@ -118,7 +110,6 @@ PICTURES: dict[str, Callable[[], Any]] = {
         for name, make in LOOPS.items()
         if name != "sensors"
     },
-    "margins": margins,
     "log": lambda: diagram.plot_log(simulate(small(), 1.0, batch=7), ["wave.v", "gain.y", "angle.angle"]),
     "figure": lambda: style.new_figure(2, map_beside=True, title="a")[0],
     "course": lambda: drive.plot_course(PATH),
