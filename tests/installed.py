@@ -33,7 +33,7 @@ def run_suite(binaries: Path, folder: Path, environment: dict[str, str]) -> None
         [*benchmarks, "run", "golden", "--only", "stanley", "--jobs", "1", "--quiet", "--out", "again"],
         [*steerkit, "compare", "results", "again", "--strict"],
         [*benchmarks, "report", "results"],
-        [*steerkit, "study", "sweep", "--quick", "--json"],
+        [*steerkit, "study", "throughput", "--quick", "--json"],
     ):
         subprocess.run(command, cwd=folder, env=environment, check=True, timeout=600.0)
     if not (folder / "results" / "report.html").is_file():

@@ -50,7 +50,6 @@ KEYS = {
         "openpilot_report_samples_off"
     ),
     "safety": "adversary_max_e departures filter_p99_ms final_rms_x good_median_s interventions_pct runs",
-    "sweep": "best compile_seconds cores drive_seconds gains seconds",
     "throughput": (
         "against base batch_car_steps_per_second batch_car_steps_per_second_x_one_function batch_x "
         "compiled_c_x interpreted_x largest_difference_m simulate_x steps_per_second"
@@ -187,10 +186,6 @@ def sensible(name: str, f: Any) -> None:
         case "mpc_solve":
             assert min(f["ltv20_x_raw_qp"], f["nmpc20_x_raw_qp"]) > 0.0
             assert f["ltv20_unsolved"] == 0
-        case "sweep":
-            assert (f["gains"], f["drive_seconds"]) == (20, 5.0)
-            assert f["best"]["max_e"] < 1e-9  # the course begins straight
-            assert f["seconds"] > 0.0
         case "nfq_iteration":
             assert f["equal_work"]
         case _:
@@ -199,7 +194,7 @@ def sensible(name: str, f: Any) -> None:
 
 def module(**figures: Any) -> ModuleType:
     """A study that measures nothing."""
-    made = ModuleType("benchmarks.studies.sweep", "Says numbers.")
+    made = ModuleType("benchmarks.studies.throughput", "Says numbers.")
     made.add_options = lambda parser: parser.add_argument("--factor", type=float, default=1.0)  # type: ignore[attr-defined]
     made.measure = lambda options: {**figures, "quick": options.quick, "factor": options.factor}  # type: ignore[attr-defined]
     return made
@@ -208,10 +203,10 @@ def module(**figures: Any) -> ModuleType:
 def test_figures_are_strict_json(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     fake = module(e=[1.0, math.inf], rates={20: math.nan}, name="x", count=3)
     monkeypatch.setattr(studies, "import_module", lambda name: fake)
-    figures = studies.carry_out("sweep", ["--quick", "--factor", "2", "--json"])
+    figures = studies.carry_out("throughput", ["--quick", "--factor", "2", "--json"])
     assert figures == {"e": [1.0, None], "rates": {"20": None}, "name": "x", "count": 3, "quick": True, "factor": 2.0}
     assert json.loads(capsys.readouterr().out) == figures
-    studies.carry_out("sweep")
+    studies.carry_out("throughput")
     assert capsys.readouterr().out == ""
 
 
@@ -221,9 +216,9 @@ def test_figures_that_do_not_count_end_with_why(
     fake = module()
     fake.objection = lambda figures: "too slow" if figures["factor"] > 1.0 else ""  # type: ignore[attr-defined]
     monkeypatch.setattr(studies, "import_module", lambda name: fake)
-    studies.carry_out("sweep")
-    with pytest.raises(SystemExit, match="study sweep: too slow"):
-        studies.carry_out("sweep", ["--factor", "2", "--json"])
+    studies.carry_out("throughput")
+    with pytest.raises(SystemExit, match="study throughput: too slow"):
+        studies.carry_out("throughput", ["--factor", "2", "--json"])
     assert json.loads(capsys.readouterr().out)["factor"] == 2.0
 
 
@@ -237,7 +232,7 @@ def test_work_that_is_not_equal_does_not_count() -> None:
     ("words", "code", "message"),
     [
         (["trougput"], 2, "did you mean 'throughput'"),
-        (["sweep", "--fast"], 2, "unrecognized arguments: --fast"),
+        (["throughput", "--fast"], 2, "unrecognized arguments: --fast"),
         (["learning", "--setting", "defaul"], 2, "invalid choice: 'defaul'"),
     ],
 )
