@@ -40,9 +40,7 @@ def identify(
     wheelbase: Annotated[float | None, typer.Option(help="Wheelbase, in m, if not the base's.")] = None,
     mass: Annotated[float | None, typer.Option(help="Mass, in kg, if not the base's.")] = None,
     fix: Annotated[list[str] | None, typer.Option(help="NAME=VALUE: hold a parameter; repeatable.")] = None,
-    tyres: Annotated[
-        bool, typer.Option("--tyres", help="Fit Pacejka tyres too, learn a residual beside them, judge both.")
-    ] = False,
+    tyres: Annotated[bool, typer.Option("--tyres", help="Fit Pacejka tyres too, and judge them.")] = False,
     name: Annotated[str, typer.Option(help="Name of the car in the file.")] = "",
     out: Annotated[Path | None, written("Vehicle file to write, else it is printed", ".toml")] = None,
     plot: Picture = None,
@@ -88,10 +86,9 @@ def identify(
         # what the tyres' model has too: its delay is both of the other's
         of_tyres = {key: value for key, value in held.items() if key in ("steer_ratio", "offset", "rate_zero")}
         grip = ident.identify_tyres(drive, car, fixed=of_tyres) if tyres else None
-        residual = ident.learn_residual(grip, drive) if grip else None
-        ahead = look_ahead(identified, judged, grip, residual)
+        ahead = look_ahead(identified, judged, grip)
     command = " ".join(["steerkit", *sys.argv[1:]])
-    _report(console, identified, prediction, ahead, grip, residual, quiet=quiet)
+    _report(console, identified, prediction, ahead, grip, quiet=quiet)
     if agrees:
         console.print(escape(agrees), highlight=False, soft_wrap=True)
     if out is not None:
@@ -116,17 +113,14 @@ def identify(
             "ahead": {"seconds": HORIZONS} | asdict(ahead),
             "notes": [*identified.drive.notes, *identified.notes, *filter(None, [agrees])],
         }
-        if grip and residual:
-            learned = {"share": residual.share, "gain": residual.gain}
-            answer["tyres"] = {"estimates": intervals(grip.estimates), "notes": grip.notes, "residual": learned}
+        if grip:
+            answer["tyres"] = {"estimates": intervals(grip.estimates), "notes": grip.notes}
         for word, fit in fits.items():
             answer[word] = {"drive": fit.drive.name} | {key: getattr(fit, key) for key in _FITS}
         print(json.dumps(answer))
 
 
-def _report(
-    console: Any, identified: Any, prediction: Any, ahead: Any, grip: Any, residual: Any, *, quiet: bool
-) -> None:
+def _report(console: Any, identified: Any, prediction: Any, ahead: Any, grip: Any, *, quiet: bool) -> None:
     if not quiet:
         for part in (identified.fit, *([prediction] if prediction else ())):
             for note in part.drive.notes:
@@ -151,9 +145,6 @@ def _report(
     if ahead.errors:
         console.print(errors)
     console.print(f"ahead: {escape(ahead.note)}", highlight=False, soft_wrap=True)
-    if residual:
-        parts = ", ".join(f"{name} {ratio:.2f}" for name, ratio in residual.gain.items())
-        console.print(f"residual: {residual.share:.2f} of it, error 0.5 s ahead on parts held out times {parts}")
     if not quiet:
         for note in (*identified.notes, *(grip.notes if grip else ())):
             console.print(escape(note), highlight=False, soft_wrap=True)

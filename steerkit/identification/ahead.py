@@ -16,14 +16,12 @@ from steerkit.vehicles import Vehicle
 from steerkit.vehicles.rollout import Rollout
 
 if TYPE_CHECKING:
-    from steerkit.identification.tyres import Residual, Tyres
+    from steerkit.identification.tyres import Tyres
 
 HORIZONS = (0.2, 0.5, 1.0, 2.0)
 """How far ahead is judged [s]."""
 QUANTITIES = {"v_x": "m/s", "v_y": "m/s", "r": "rad/s", "longitudinal": "m", "lateral": "m"}
 """What is judged, in this order, and its unit."""
-MEMORY = 0.5
-"""How far back a residual looks [s]."""
 _NUMBERS = 400_000  # that one signal may have over all starts: they are thinned out so that a long drive fits in memory
 _STRAIGHT, _LONG = 1e-3, 2.0  # curvature up to which it is driven straight on [1/m], and for how long at least [s]
 
@@ -40,9 +38,7 @@ class Ahead:
     """Where the log's displacement and v_y come from."""
 
 
-def look_ahead(
-    found: Identified, drive: Drive, tyres: "Tyres | None" = None, residual: "Residual | None" = None
-) -> Ahead:
+def look_ahead(found: Identified, drive: Drive, tyres: "Tyres | None" = None) -> Ahead:
     """Errors of v_x, v_y, r and displacement up to 2 s ahead, from many starts in a drive of the identified car.
 
     Of three that start from the measured v_x, v_y and r, the speed staying what it is:
@@ -51,8 +47,7 @@ def look_ahead(
     persistence: v_x, v_y and r stay constant;
     kinematics: the same wheel as the model, r = v_x tan(delta)/L, v_y = l_r r.
 
-    With tyres also pacejka: their single track, v_x constant; with its residual also pacejka + residual, which knows
-    the last half second: all starts have one before them.
+    With tyres also pacejka: their single track, v_x constant.
 
     Displacement is in the vehicle's frame at the start, longitudinal and lateral [m]; see `measured_way` for the
     measured one, whose v_y is a mean over 0.2 s. Where on the car its position is measured no log says: model and
@@ -64,9 +59,8 @@ def look_ahead(
     place, heading, slip, note = measured_way(drive, rate)
     known, v_y = slip is not None, np.zeros(len(rate)) if slip is None else slip
     n = round(HORIZONS[-1] / dt)
-    before = round(MEMORY / dt) if residual else 0
-    through = np.convolve(drive.driving & np.isfinite(place + v_y), np.ones(n + before + 1), mode="valid")
-    starts = np.flatnonzero(through > n + before + 0.5) + before
+    through = np.convolve(drive.driving & np.isfinite(place + v_y), np.ones(n + 1), mode="valid")
+    starts = np.flatnonzero(through > n + 0.5)
     starts = starts[:: math.ceil(len(starts) * (n + 1) / _NUMBERS) or 1]
     if not len(starts):
         return Ahead(drive=drive.name, starts=0, errors={}, note=f"nothing is judged: no {HORIZONS[-1]:g} s in one go")
@@ -86,10 +80,8 @@ def look_ahead(
     }
     if tyres:
         scene = tyres.scene(drive)
-        for who, ways in (("pacejka", None), ("pacejka + residual", residual)):
-            if who == "pacejka" or ways:
-                aside, turning = (ways or tyres).ahead(scene, starts, n)
-                predicted[who] = (scene.v_x[starts] * still, aside + scene.arm * turning, turning)
+        aside, turning = tyres.ahead(scene, starts, n)
+        predicted["pacejka"] = (scene.v_x[starts] * still, aside + scene.arm * turning, turning)
     ends = [round(horizon / dt) for horizon in HORIZONS]
     gone = ((place[at] - place[starts]) * np.exp(-1j * heading[starts]))[ends]
     measured = {

@@ -1,7 +1,7 @@
 """Pacejka tyres from a drive: closed forms, what is recovered of drives of the model itself, what is refused."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from steerkit.identification import Drive, identify_tyres
+from steerkit.identification.ahead import look_ahead
 from steerkit.identification.tyres import Tyres, _Pieces, accelerations, pacejka, rolled
 from steerkit.vehicles import VW_PASSAT, G
 
@@ -27,17 +28,12 @@ def wander(seconds: float, seed: int, grip: float) -> tuple[np.ndarray, np.ndarr
 
 
 @cache
-def made(seconds: float = 40.0, seed: int = 0, noise: float = 0.0, grip: float = 0.75, **more: float) -> Drive:
-    """A drive of the model itself: 0.04 s late, the wheel's zero 0.03 rad off; more: accelerations besides."""
+def made(seconds: float = 40.0, seed: int = 0, noise: float = 0.0, grip: float = 0.75) -> Drive:
+    """A drive of the model itself: 0.04 s late, the wheel's zero 0.03 rad off."""
     v, delta = wander(seconds, seed, grip)
     t = np.arange(len(v)) * DT
     late = np.interp(t - 0.04, t, delta)
-    push = np.array([more.get("sway", 0.0), more.get("turn", 0.0)])
-
-    def slopes(at: float, *state: Any) -> Any:
-        return np.array(accelerations(VW_PASSAT, TRUE, *state)) + push * np.sin(0.3 * at)
-
-    v_y, r = rolled(slopes, DT, v, late, np.zeros(2))
+    v_y, r = rolled(partial(accelerations, VW_PASSAT, TRUE), DT, v, late, np.zeros(2))
     rng = np.random.default_rng(seed + 1)
     v_y, r = (a + noise * rng.normal(size=len(v)) for a in (v_y, r))
     wheel = VW_PASSAT.steer_ratio * delta - 0.03
@@ -69,9 +65,7 @@ def test_a_curve_has_its_stiffness_and_its_peak() -> None:
 
 def test_a_gentle_circle_is_that_of_the_linear_single_track() -> None:
     v, delta, n = 12.0, 0.002, 400
-    _, r = rolled(
-        lambda t, *state: accelerations(VW_PASSAT, TRUE, *state), DT, np.full(n, v), np.full(n, delta), np.zeros(2)
-    )
+    _, r = rolled(partial(accelerations, VW_PASSAT, TRUE), DT, np.full(n, v), np.full(n, delta), np.zeros(2))
     car = replace(VW_PASSAT, c_f=TRUE["c_f"], c_r=TRUE["c_r"])
     assert r[-1] == pytest.approx(v * delta / (car.wheelbase + car.understeer_gradient * v * v), rel=1e-3)
     assert r[0] == 0.0
@@ -80,7 +74,7 @@ def test_a_gentle_circle_is_that_of_the_linear_single_track() -> None:
 def test_a_step_beyond_the_longest_is_parted() -> None:
     """r' = -20 r over 0.05 s steps: Runge-Kutta of parts, to 1 %."""
     n = 5
-    way = rolled(lambda t, v, d, y, r: (0.0 * y, -20.0 * r), 0.05, np.ones(n), np.zeros(n), np.array([0.0, 1.0]))
+    way = rolled(lambda v, d, y, r: (0.0 * y, -20.0 * r), 0.05, np.ones(n), np.zeros(n), np.array([0.0, 1.0]))
     assert way[1] == pytest.approx(np.exp(-np.arange(n)), rel=0.01)
 
 
@@ -102,6 +96,28 @@ def test_left_and_right_are_alike() -> None:
     for name in ("c_f", "c_r", "mu_f", "delay"):
         assert other.theta[name] == pytest.approx(one.theta[name], rel=1e-3), name
     assert other.theta["offset"] == pytest.approx(-one.theta["offset"], rel=1e-2)
+
+
+def test_ahead_left_and_right_are_alike() -> None:
+    drive, found, starts = made(noise=0.05), found_under_noise(), np.arange(200, 1900, 7)
+    other = replace(found, theta=found.theta | {name: -found.theta[name] for name in ("offset", "slip_zero")})
+    way = found.ahead(found.scene(drive), starts, 25)
+    assert other.ahead(other.scene(mirrored(drive)), starts, 25) == pytest.approx(-way, abs=1e-9)
+
+
+def test_they_are_judged_beside_the_others() -> None:
+    """On a drive of their own model, without noise: far better than that nothing changes."""
+    tyres = identify_tyres(made(), VW_PASSAT, fixed=SHAPES)
+    theta = dict.fromkeys(("offset", "delay", "lag", "rate_zero"), 0.0)
+    theta |= {"steer_ratio": 15.6, "d_f": 0.006, "d_r": 0.005}
+    found: Any = SimpleNamespace(vehicle=VW_PASSAT, base=VW_PASSAT, theta=theta)
+    answer, without = look_ahead(found, made(), tyres), look_ahead(found, made())
+    assert answer.starts == without.starts
+    for quantity in ("v_y", "r", "lateral"):
+        of = answer.errors[quantity]
+        assert list(of) == ["model", "persistence", "kinematics", "pacejka"]
+        assert of["pacejka"][1] < 0.1 * of["persistence"][1]
+        assert list(without.errors[quantity]) == ["model", "persistence", "kinematics"]
 
 
 def test_intervals_hold_the_truth_under_noise() -> None:
