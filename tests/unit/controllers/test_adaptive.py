@@ -181,18 +181,25 @@ def rms(name: str, scenario: Scenario) -> tuple[float, float]:
     return float(np.sqrt(np.mean(e[600:] ** 2))), float(np.abs(e[20:]).max())
 
 
+_LATE = {"steering": {"delay": 0.2}, "knowledge": {"delay": 0.0}}
+_ALL = {"vehicle": {"ratio": 1.25}, "steering": {"offset_deg": 3.0, "delay": 0.2}, "knowledge": {"delay": 0.0}}
+
+
 @pytest.mark.parametrize(
-    "wrong",
+    ("fixed", "adapting", "wrong"),
     [
-        {"vehicle": {"ratio": 1.25}},
-        {"steering": {"offset_deg": 3.0}},
-        {"steering": {"delay": 0.2}, "knowledge": {"delay": 0.0}},
+        ("stanley-delay", "stanley-adaptive", {"vehicle": {"ratio": 1.25}}),
+        ("stanley-delay", "stanley-adaptive", {"steering": {"offset_deg": 3.0}}),
+        ("stanley-delay", "stanley-adaptive", _LATE),
+        ("mpc", "mpc-adaptive", _ALL),
     ],
 )
-def test_it_drives_nearly_as_well_as_one_that_knows_the_true_parameters(wrong: dict[str, Any]) -> None:
+def test_it_drives_nearly_as_well_as_one_that_knows_the_true_parameters(
+    fixed: str, adapting: str, wrong: dict[str, Any]
+) -> None:
     off = Scenario(course={"name": "paper", "rounds": 0.35}, **wrong)
-    truth = rms("stanley-delay", off.with_(knowledge={"oracle": True, "delay": None}))[0]
-    plain, adapts = rms("stanley-delay", off), rms("stanley-adaptive", off)
+    truth = rms(fixed, off.with_(knowledge={"oracle": True, "delay": None}))[0]
+    plain, adapts = rms(fixed, off), rms(adapting, off)
     assert adapts[0] < plain[0]
     assert adapts[0] < max(1.3 * truth, 0.008)
     assert adapts[1] < 0.5

@@ -126,7 +126,7 @@ def test_it_is_nearer_to_the_truth_than_what_is_measured_and_says_how_near() -> 
     assert np.mean(turned) < 0.6
     assert max(side_in) < radians_of(0.05)
     assert np.mean(side_share) == pytest.approx(0.95, abs=0.05)
-    assert np.mean(turned_share) > 0.8  # of two drives; the study has forty
+    assert np.mean(turned_share) > 0.8  # of two drives
     assert np.mean(nis) == pytest.approx(1.0, abs=0.06)
 
 
