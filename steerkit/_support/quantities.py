@@ -9,12 +9,8 @@ from steerkit.diagram.units import FACTORS, RAD_PER_DEG
 _TABLE = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 QUANTITIES: dict[str, str] = _TABLE["si"]
 """What a drive is made of, and its unit: time, steering-wheel angle (or delta, the road wheels'), speed, yaw rate,
-heading (one of r and psi, or both), and where it was, its lateral velocity and its throttle, if the log knows."""
-UNITS: dict[str, dict[str, float]] = {
-    **FACTORS,
-    "deg": {"deg": 1.0, "rad": 1.0 / RAD_PER_DEG},
-    "1": {"1": 1.0, "%": 0.01},
-}
+heading (one of r and psi, or both), where it was and its lateral velocity, if the log knows."""
+UNITS: dict[str, dict[str, float]] = {**FACTORS, "deg": {"deg": 1.0, "rad": 1.0 / RAD_PER_DEG}}
 """SI unit (degrees for a place on Earth) to the units that a column may have, and what one of them is in it."""
 SPELT = {spelling: unit for unit, spellings in _TABLE["spelt"].items() for spelling in spellings.split()}
 """Units as files spell them, or as names end in them."""

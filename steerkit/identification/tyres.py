@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 from scipy.special import stdtrit
 
@@ -27,8 +26,6 @@ STEP = 0.02
 _FEW, _ITERATIONS, _SETTLED = 40, 30, 0.01  # pieces to come near with; at most; drop of chi^2 at which a fit ends
 _LOGS = ("c_", "mu")  # of these the logarithm is fitted
 _FINEST = 1e-3  # no signal is better than so much of itself: what the model leaves then is not noise
-_WINDOW = 1.0  # over which speeds are compared for the drivetrain [s]
-_PEDAL = {"throttle_gain": ("m/s^2", 20.0), "rolling": ("m/s^2", 1.0), "drag": ("1/m", 0.05)}  # unit, prior deviation
 Slopes = Callable[[Any, Any, Any, Any], tuple[Any, Any]]
 """(v_x, delta, v_y, r) to (v_y', r')."""
 
@@ -127,7 +124,7 @@ class Tyres:
 
 
 def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[str, float] | None = None) -> Tyres:
-    """Pacejka tyres, steering and drivetrain of a car from 20 s of driving or more, with 95 % intervals.
+    """Pacejka tyres and steering of a car from 20 s of driving or more, with 95 % intervals.
 
     The drive is cut into pieces of 2 s; each is simulated from a start of its own, v_y and r, which is found too:
 
@@ -136,8 +133,7 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
     by Levenberg-Marquardt, sigma from what is left, its correlation allowed for. The model is that of
     `accelerations`; measured are v_y + arm r + slip_zero v_x and r + rate_zero. So noise in v_y and r biases nothing,
     which it does where forces are computed from them. Intervals: the larger of the model's covariance and the sandwich
-    over pieces. A drive with a throttle gives v' = throttle_gain u - rolling - drag v^2 - F_f sin(delta)/m, by the
-    change of speed over 1 s; without one drag cannot be told from the engine, and is left out with a note.
+    over pieces.
 
     base: mass, inertia, geometry as given (default: vw-passat). v_y is the log's, or by position and
     heading; without either the yaw rate tells alone. fixed: parameters to hold, in SI. A mu of which the log tells
@@ -189,41 +185,10 @@ def identify_tyres(drive: Drive, base: Vehicle | None = None, *, fixed: Mapping[
     )
     if v_y is None:
         notes.append("v_y is not in the log: front and rear are told apart by the yaw rate alone")
-    rows += _drivetrain(drive, base, theta, notes)
     grips = [theta[name] for name in ("mu_f", "mu_r") if name not in unknown]
     found = {name: theta[name] for name in ("steer_ratio", "c_f", "c_r")} | ({"mu": min(grips)} if grips else {})
     car = replace(base, name=f"{base.name}-identified", **found)
     return Tyres(vehicle=car, theta=theta, estimates=tuple(rows), drive=drive, notes=tuple(notes))
-
-
-def _drivetrain(drive: Drive, base: Vehicle, theta: Mapping[str, float], notes: list[str]) -> list[Estimate]:
-    """Throttle's gain, rolling resistance and drag, by linear least squares of the change of speed over 1 s."""
-    u = drive.throttle
-    if u is None or not np.nanstd(u) > 0.0:
-        notes.append("the log has no throttle: drag and rolling resistance cannot be told from engine and brake")
-        return []
-    n = round(_WINDOW / drive.dt)
-    v = uniform_filter1d(drive.v, max(1, round(0.2 / drive.dt)))
-    bend = v * drive.r * _delta(drive, theta) * base.l_r / base.wheelbase
-    ways = [cumulative_trapezoid(a, dx=drive.dt, initial=0.0)[::n] for a in (u, -np.ones(len(v)), -(v**2), bend)]
-    use = (
-        np.isfinite(sum(map(np.diff, ways)))
-        & (np.convolve(drive.driving, np.ones(n + 1), "valid")[::n] > n)[: len(ways[0]) - 1]
-    )
-    a, b = np.diff(ways[:3]).T[use], (np.diff(v[::n]) + np.diff(ways[3]))[use]
-    prior = np.diag([deviation**-2.0 for _, deviation in _PEDAL.values()])
-    found, covariance = np.zeros(3), np.diag([deviation**2.0 for _, deviation in _PEDAL.values()])
-    for _ in range(3 if len(b) > 3 else 0):
-        sigma = max(float(np.sqrt(np.mean((b - a @ found) ** 2))), 1e-6)
-        bread = np.linalg.inv(a.T @ a / sigma**2 + prior)
-        found = bread @ (a.T @ b) / sigma**2
-        scores = a * (b - a @ found)[:, None] / sigma**2
-        covariance = np.maximum(bread, bread @ (scores.T @ scores + prior) @ bread)
-    half = float(stdtrit(max(len(b) - 3, 1), 0.975)) * np.sqrt(np.diag(covariance))
-    return [
-        Estimate(name, float(x), float(x - h), float(x + h), unit, max(0.0, 1.0 - float(c) / deviation**2))
-        for (name, (unit, deviation)), x, h, c in zip(_PEDAL.items(), found, half, np.diag(covariance))
-    ]
 
 
 def priors(base: Vehicle, drive: Drive, v_y: Array | None) -> dict[str, Prior]:

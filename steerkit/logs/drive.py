@@ -17,7 +17,7 @@ from steerkit.paths.waypoints import east_north, stray_ends
 
 PAUSE = 0.25
 """From this time on without a sample [s], or five of its usual steps, a channel pauses."""
-PLACES = ("x", "y", "v_y", "throttle")
+PLACES = ("x", "y", "v_y")
 """Quantities that a drive can be without: where they are not known they are NaN, and no row is lost for them."""
 
 
@@ -202,8 +202,6 @@ class Drive:
     """The same, north."""
     v_y: Array | None = None
     """Lateral velocity of the centre of gravity, + = left (n,) [m/s]; None where the log has none."""
-    throttle: Array | None = None
-    """What the drive was asked for, as the log has it, < 0 brakes (n,) [1]; None where the log has none."""
     commanded: bool = False
     """Is delta_sw what the steering was asked for, by its channel's name? Else it counts as what the wheel did."""
     notes: tuple[str, ...] = ()

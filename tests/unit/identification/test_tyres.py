@@ -159,20 +159,6 @@ def test_the_yaw_rate_alone_tells_less() -> None:
     assert bare["c_f"].low < TRUE["c_f"] < bare["c_f"].high
 
 
-def test_a_throttle_tells_the_drivetrain() -> None:
-    """v' = 4 u - 0.2 - 0.0006 v^2 less what the front tyres brake; without a throttle the reason is said."""
-    drive = made(seconds=60.0)
-    bend = drive.v * drive.r * (drive.delta_sw + 0.03) / VW_PASSAT.steer_ratio * VW_PASSAT.l_r / VW_PASSAT.wheelbase
-    u = (np.gradient(drive.v, DT) + bend + 0.2 + 0.0006 * drive.v**2) / 4.0
-    found = identify_tyres(replace(drive, throttle=u))
-    assert found["throttle_gain"].value == pytest.approx(4.0, rel=0.02)
-    assert found["rolling"].value == pytest.approx(0.2, abs=0.02)
-    assert found["drag"].value == pytest.approx(0.0006, abs=0.0002)
-    without = found_under_noise()
-    assert "drag" not in [e.name for e in without.estimates]
-    assert any("cannot be told from engine and brake" in note for note in without.notes)
-
-
 def test_where_v_y_was_measured_is_found() -> None:
     drive = made()
     assert drive.v_y is not None
