@@ -26,7 +26,7 @@ _FILES = {file.stem: file for file in sorted(Path(__file__).parent.glob("*.py"))
 NAMES = tuple(_FILES)
 """All studies."""
 _EXTRA = {
-    **dict.fromkeys(("car_calibration", "car_kill", "car_realtime"), "car"),
+    **dict.fromkeys(("car_kill", "car_realtime"), "car"),
     "foreign": "peers",
     "gym_steps": "gym",
     **dict.fromkeys(("production_cars", "proving"), "production"),

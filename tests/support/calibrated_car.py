@@ -1,11 +1,14 @@
 """A calibration in one process: a car whose true numbers are unknown to it, its server's core, its guided drive."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.studies.car_calibration import lateness
+import numpy as np
+from scipy.signal import lfilter
+
 from steerkit.car import recording as recordings
 from steerkit.car.calibration import Guided
 from steerkit.car.config import CarConfig
@@ -18,6 +21,8 @@ from steerkit.paths.courses import course
 from tests.support.car_world import CONFIG as SHIPPED
 from tests.support.car_world import World
 
+Timed = Sequence[tuple[float, float]]
+"""Times [s] and angles [rad]."""
 _TEXT = SHIPPED.texts["config.toml"].replace('name = "paper"', 'name = "calibration"')
 CONFIG = replace(SHIPPED, course=course("calibration"), texts={**SHIPPED.texts, "config.toml": _TEXT})
 RATIO, DELAY, LAG, OFFSET, RATE_ZERO = 1.1, 0.2, 0.15, radians_of(1.5), 0.003
@@ -72,6 +77,22 @@ class CalibratedWorld(World):
         """By how much commands come to the bus later than the samples that they are of [s], as a motor feels it."""
         asked, sent = [(s.t, s.command) for s in self.seen], [(s.t, s.delta_sw) for s in self.sent]
         return lateness(asked, sent, self.seen[40].t, self.seen[-2].t, LAG)
+
+
+def lateness(asked: Timed, sent: Timed, begin: float, end: float, lag: float) -> float:
+    """By how much angles (t, angle) are sent later than the samples of which they were asked [s], as a motor of that
+    lag feels it between `begin` and `end`: to 1 ms, 60 ms at most."""
+    t = np.arange(begin, end, 0.001)
+    keep = np.exp(-0.001 / lag)
+
+    def felt(x: Any) -> Any:
+        return lfilter([1.0 - keep], [1.0, -keep], x - x[0])
+
+    (times, angles), (acting, moved) = np.array(asked).T, np.array(sent).T
+    held = felt(angles[np.searchsorted(times, t, side="right")])
+    acted = felt(moved[np.searchsorted(acting, t, side="right") - 1])
+    start = 2000
+    return 0.001 * min(range(60), key=lambda ms: float(np.mean((acted[start:] - held[start - ms : len(t) - ms]) ** 2)))
 
 
 class Made(NamedTuple):
