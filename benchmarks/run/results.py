@@ -5,10 +5,8 @@
     trajectories/CASE.npz    a drive's decimated signals: see `TRAJECTORY`
     curves/CASE.npz          for a learner: one row a trained net, see `CURVE`
     nets/CASE.npz            for a learner: the last net
-    cases.parquet            all cases in one table, one row each; merged when the run ends
 
-CASE is `suite--scenario--controller--sN`. A table's columns: those of `Case`, one a metric (`metric.rms_e`), and one a
-field of the scenario (`scenario.steering.delay`).
+CASE is `suite--scenario--controller--sN`. All cases in one table: `load_results(DIRECTORY).table()`.
 """
 
 import json
@@ -141,8 +139,14 @@ class Results:
         return self.provenance["scenarios"]
 
     def table(self) -> "pd.DataFrame":
-        """One row a case; columns of `Case`, `metric.NAME` and `scenario.FIELD`."""
-        return _table(self.cases, self.protocol)
+        """One row a case; columns of `Case`, `metric.NAME` (`metric.rms_e`) and `scenario.FIELD`."""
+        import pandas as pd
+
+        rows = []
+        for case in self.cases:
+            scenario = self.protocol.get(case.scenario, {})
+            rows.append(case.row() | {f"scenario.{k}": v for k, v in scenario.items() if not isinstance(v, list)})
+        return pd.DataFrame(rows, columns=None if rows else [f.name for f in fields(Case) if f.name != "metrics"])
 
     def case(self, case_id: str) -> Case:
         """The case with that id; raises KeyError."""
@@ -165,7 +169,7 @@ class Results:
 
 
 class Store:
-    """The writing side: makes the directory, keeps finished cases, merges them."""
+    """The writing side: makes the directory, keeps finished cases."""
 
     def __init__(self, place: str | FilePath):
         self.place = FilePath(place)
@@ -200,7 +204,6 @@ class Store:
             raise ValueError(f"{self.place} is not empty and holds no results; choose another directory with --out")
         for folder in FOLDERS:
             (self.place / folder).mkdir(parents=True, exist_ok=True)
-        (self.place / "cases.parquet").unlink(missing_ok=True)  # until the new merge, the case files are the truth
         write_text(file, _json(plan, indent=1))
 
     def has(self, case_id: str) -> bool:
@@ -238,15 +241,6 @@ class Store:
         """Where a learner's last net is."""
         return self.place / "nets" / f"{case_id}.npz"
 
-    def merge(self) -> Results:
-        """Write cases.parquet from all finished cases, in the planned order."""
-        provenance = read_provenance(self.place)
-        cases = _from_files(self.place, provenance)
-        results = Results(self.place, provenance, cases)
-        with atomic_write(self.place / "cases.parquet") as draft:
-            results.table().to_parquet(draft, index=False)
-        return results
-
     def _case_file(self, case_id: str) -> FilePath:
         return self.place / "cases" / f"{case_id}.json"
 
@@ -267,28 +261,25 @@ def packed(case: Case, **more: Any) -> dict[str, bytes]:
 
 
 def load_results(place: str | FilePath) -> Results:
-    """Read a results directory; a run that was not merged (killed, or still going) is read case by case.
+    """Read a results directory, of a run that has ended, was killed or is still going.
 
     Raises ValueError where there is none, where it is of another version, or where a file in it is broken.
     """
     place = FilePath(place)
     provenance = read_provenance(place)
-    merged = place / "cases.parquet"
-    if not merged.exists():
-        return Results(place, provenance, _from_files(place, provenance))
-    import pandas as pd
-
-    try:
-        table = pd.read_parquet(merged)
-    except Exception as error:  # pyarrow's errors share no class of their own
-        raise ValueError(
-            f"{merged} is no Parquet file, or a broken one ({_line(error)}); remove it, and the run's own case files "
-            "are read instead"
-        ) from error
-    lacking = [f.name for f in fields(Case) if f.name != "metrics" and f.name not in table]
-    if lacking:
-        raise ValueError(f"{merged} has no column '{lacking[0]}'; it was not written by `python -m benchmarks run`")
-    return Results(place, provenance, tuple(_case_of(row) for row in table.to_dict("records")))
+    cases = []
+    for name in provenance.get("planned", ()):
+        file = place / "cases" / f"{name}.json"
+        if not file.exists():
+            continue
+        try:
+            data = json.loads(file.read_text(encoding="utf-8"))
+            data["metrics"] = {name: _number(value) for name, value in data["metrics"].items()}
+            cases.append(Case(**data | {"cpu_seconds": _number(data["cpu_seconds"])}))
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise ValueError(f"{file} is broken ({reason}); remove it and run the suite again") from error
+    return Results(place, provenance, tuple(cases))
 
 
 def read_provenance(place: FilePath) -> dict[str, Any]:
@@ -308,37 +299,6 @@ def read_provenance(place: FilePath) -> dict[str, Any]:
     return data
 
 
-def _from_files(place: FilePath, provenance: Mapping[str, Any]) -> tuple[Case, ...]:
-    cases = []
-    for name in provenance.get("planned", ()):
-        file = place / "cases" / f"{name}.json"
-        if not file.exists():
-            continue
-        try:
-            data = json.loads(file.read_text(encoding="utf-8"))
-            data["metrics"] = {name: _number(value) for name, value in data["metrics"].items()}
-            cases.append(Case(**data | {"cpu_seconds": _number(data["cpu_seconds"])}))
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
-            raise ValueError(f"{file} is broken ({_line(error)}); remove it and run the suite again") from error
-    return tuple(cases)
-
-
-def _case_of(row: Mapping[Any, Any]) -> Case:
-    known = {f.name for f in fields(Case)}
-    metrics = {k.removeprefix("metric."): float(v) for k, v in row.items() if k.startswith("metric.")}
-    return Case(**{k: v for k, v in row.items() if k in known}, metrics=metrics)
-
-
-def _table(cases: tuple[Case, ...], protocol: Mapping[str, Mapping[str, Any]]) -> "pd.DataFrame":
-    import pandas as pd
-
-    rows = []
-    for case in cases:
-        scenario = {f"scenario.{k}": v for k, v in protocol.get(case.scenario, {}).items() if not isinstance(v, list)}
-        rows.append(case.row() | scenario)
-    return pd.DataFrame(rows, columns=None if rows else [f.name for f in fields(Case) if f.name != "metrics"])
-
-
 def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
@@ -356,7 +316,3 @@ def _finite(data: Any) -> Any:
     if isinstance(data, float | np.floating):
         return float(data) if math.isfinite(data) else None if math.isnan(data) else str(float(data))
     return data
-
-
-def _line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

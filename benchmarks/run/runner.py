@@ -14,7 +14,7 @@ from rich.progress import Progress
 from benchmarks.entries import controller
 from benchmarks.run.drives import Policy, drive, shape
 from benchmarks.run.provenance import digest, provenance
-from benchmarks.run.results import Case, Results, Store, packed
+from benchmarks.run.results import Case, Results, Store, load_results, packed
 from benchmarks.run.spread import Where, Workers, computing
 from benchmarks.run.trainings import TRAININGS, learn
 from benchmarks.suites import Job, Suite, jobs
@@ -57,7 +57,7 @@ def run(
     address: str | None = None,
     quiet: bool = False,
 ) -> Results:
-    """Carry out all cases that have not finished yet, and merge them.
+    """Carry out all cases that have not finished yet, and read all.
 
     workers, backend, address: who computes, see `Where`. Raises ValueError for what does not go together there, for a
     directory of other results, and for a cluster that cannot do it (see `dask_client`); WorkersDiedError when workers
@@ -87,7 +87,7 @@ def run(
             coming = (done for _, several in these.done(carry_out_all, batches, say=display.say) for done in several)
             for done in kept(coming, store):
                 display.finished(done.case)
-    return store.merge()
+    return load_results(place)
 
 
 def carry_out_all(batch: Sequence[Work]) -> list[Done]:

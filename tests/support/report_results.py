@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.run.results import Case, Results, Store
+from benchmarks.run.results import Case, Results, Store, load_results
 from steerkit.metrics import measures
 from steerkit.paths.courses import course
 
@@ -103,7 +103,7 @@ def write(place: Path, *, seeds: tuple[int, ...] = SEEDS, grid: bool = True) -> 
         store.keep(case, trajectory=trajectory, curve=curve)
     store.keep(broken)
     store.keep(absent)
-    return store.merge()
+    return load_results(place)
 
 
 def changed(case: Case, **metrics: float) -> Case:

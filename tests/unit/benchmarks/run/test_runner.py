@@ -42,7 +42,6 @@ def test_processes_give_the_same_numbers_and_finished_cases_are_not_run_again(
     more = run([TINY], place, workers=1, seeds=4, quiet=True)  # one more seed: only that is driven
     assert len(more.cases) == 8
     assert {n: (place / "cases" / n).stat().st_mtime_ns for n in kept} == kept
-    assert (place / "cases.parquet").exists()
 
 
 def test_a_killed_run_goes_on_and_loses_no_finished_case(reference: Results, tmp_path: Path) -> None:
