@@ -14,7 +14,7 @@ from steerkit.diagram.units import degrees_of
 from steerkit.estimators.estimate import NORMAL_95, Estimated, estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay
-from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
+from steerkit.estimators.steering_hysteresis import SteeringFriction
 from steerkit.task import DT
 from steerkit.vehicles import tables_of
 
@@ -30,7 +30,7 @@ _LAGS = {"short lag": 0.08, "middle lag": 0.16, "long lag": 0.32}
 """Priors of the lag [s]: each block finds lags from half of its own to 1.4 times that."""
 _UPPER = 1.3
 """A lag that is longer than so many times the prior is the next block's [1]."""
-_OTHERS = ("filter", "friction", "play")
+_OTHERS = ("filter", "friction")
 _SPREAD = 0.004
 """Deviation of when a command acts, which the gate spreads over the frames of its sample [s]."""
 _MOTION_UNKNOWN = 0.01
@@ -72,7 +72,6 @@ class CarEstimators:
             **{name: WheelDelay(prior_delay=delay, prior_lag=lag) for name, lag in _LAGS.items()},
             "filter": SingleTrackFilter(vehicle=car, held=False),
             "friction": SteeringFriction(),
-            "play": SteeringPlay(vehicle=car, held=False),
         }
         self.faults, self.doubted = 0, False
         self._begin()
@@ -114,10 +113,10 @@ class CarEstimators:
         measured = {"v": before.v, "r": before.r, "psi": psi, "delta_sw_meas": before.delta_sw}
         steered = {"delta_sw_cmd": command, "angle": command, "active": steers, **self._wheel()._asdict()}
         # of the motion the wheel comes a sample late
-        moved = {"delta_sw": wheel, "angle": wheel, "active": 1.0, "delay": DT, "delay_deviation": _MOTION_UNKNOWN}
+        moved = {"delta_sw": wheel, "active": 1.0, "delay": DT, "delay_deviation": _MOTION_UNKNOWN}
         moved |= {"lag": 0.0, "lag_deviation": 0.0}
         for name in self.blocks:
-            self._feed(name, measured | (moved if name in ("filter", "play") else steered))
+            self._feed(name, measured | (moved if name == "filter" else steered))
 
     def _feed(self, name: str, given: dict[str, float]) -> None:
         block = self.blocks[name]
@@ -150,7 +149,6 @@ class CarEstimators:
             "lag": estimated(y["wheel"], "lag"),
             "steer_ratio": Estimated(n * share.value, n * share.deviation, share.valid),
             "friction": estimated(y["friction"], "friction"),
-            "play": estimated(y["play"], "play"),
         }
         for name in ("delay", "delay_lag"):
             late = estimated(y["wheel"], name)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 from steerkit.car.state_machine import Mode, Order
 from steerkit.paths.path import Path
 
-VERSION = 6
+VERSION = 7
 """Another one where a message changes."""
 NO_COURSE = ""
 """Of a client that does not say which course it means."""
@@ -146,7 +146,7 @@ class Refused(NamedTuple):
 
 
 Message = Hello | Query | Beat | Command | Request | Remark | Estimates | Adapted | Filtered | Snapshot | Refused
-ESTIMATES = ("delay", "lag", "delay_lag", "steer_ratio", "understeer", "offset", "rate_zero", "friction", "play")
+ESTIMATES = ("delay", "lag", "delay_lag", "steer_ratio", "understeer", "offset", "rate_zero", "friction")
 """What is estimated in a drive, in this order; the units are those of the blocks."""
 _KINDS = {kind.__name__: kind for kind in get_args(Message)}
 _FIELDS: dict[str, dict[str, Any]] = {name: get_type_hints(kind) for name, kind in _KINDS.items()}

@@ -121,7 +121,7 @@ def calibrate(
         FilePath | None, typer.Option("--from", help="Make the file from this recording; nothing is driven.")
     ] = None,
 ) -> None:
-    """A guided drive that ends in a vehicle file: delay, lag, ratio, offset, friction and play, with intervals.
+    """A guided drive that ends in a vehicle file: delay, lag, ratio, offset and friction, with intervals.
 
     The car follows its course while the wheel swings slowly, then steps to and fro, then is left to the bends. Engage
     by `e`, let go by space, as in any drive. Exit code: 0; 1 when nothing was found, or a car server runs already.

@@ -4,20 +4,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
-from steerkit._support.errors import number, require, require_within, whole_samples
+from steerkit._support.errors import require, require_within, whole_samples
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, State
+from steerkit.diagram.block import Block, State
 from steerkit.diagram.maths import Scalar
-from steerkit.diagram.units import radians_of
-from steerkit.estimators.steering_response import SLOWEST, at, steady_gain
-from steerkit.vehicles import Vehicle, require_vehicle
+from steerkit.estimators.steering_response import at
 
 _EXPLAINED = 0.5
 """Share of the response's variance that has to be explained."""
 _FEWEST = 10.0
 """Independent samples from which on the residual shows the noise."""
+_CORRELATED = 0.15
+"""For how long the errors of the response hang together [s]: what free play and roads add to noise."""
 REGRESSORS = 3
 MOMENTS = 2 * REGRESSORS + REGRESSORS * (REGRESSORS + 1) // 2
 """What is kept of a candidate: means, covariances, covariances with the response."""
@@ -119,43 +119,8 @@ def lowest(costs: Sequence[Scalar], least_curvature: float) -> tuple[Scalar, Sca
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class OfWheel(Block):
-    """What makes a `Bank` one whose response is the measured steering wheel, delta_sw_meas [rad]; abstract."""
-
-    delta_sw_meas = In("rad", direct=False)
-    v = In("m/s", direct=False)
-
-    noise: float = number(radians_of(0.1), "rad", low=1e-6, high=1.0)
-    """Standard deviation of delta_sw_meas about what the model makes of the command [rad]."""
-
-    def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        return u.delta_sw_meas, 1.0 / self.noise**2, m.is_finite(u.delta_sw_meas)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class OfYawRate(Block):
-    """What makes a `Bank` one whose response is r n (L + K v^2)/v, the yaw rate r [rad/s] as an angle; abstract."""
-
-    r = In("rad/s", direct=False)
-    v = In("m/s", direct=False)
-
-    vehicle: Vehicle
-    """The car by its data sheet."""
-    noise: float = number(radians_of(0.2), "rad/s", low=1e-6, high=1.0)
-    """Standard deviation of the white noise on r [rad/s]."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_vehicle(self.vehicle, type(self).__name__)
-
-    def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        gain = steady_gain(self.vehicle, m.where(m.is_finite(u.v), m.maximum(u.v, SLOWEST), speed))
-        return u.r / gain, gain * gain / self.noise**2, m.is_finite(u.r)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class Bank(Block):
-    """Least squares of a measured response, `OfWheel` or `OfYawRate`, for a bank of candidates; abstract.
+    """Least squares of a measured response for a bank of candidates; abstract.
 
     With candidates 0, step, 2 step, ..., a regression's cost is the weighted sum of squares left over and the priors'.
     """
@@ -164,13 +129,11 @@ class Bank(Block):
     """Seconds of driving that were used, after which their weight has fallen to 1/e."""
     longest: float
     """Longest delay [s], a multiple of dt."""
-    correlated: ClassVar[float] = 0.15
-    """For how long the errors of the response hang together [s]: what free play and roads add to noise."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         where = type(self).__name__
-        require_within(where, "dt", self.dt, "s", 1e-3, self.correlated)
+        require_within(where, "dt", self.dt, "s", 1e-3, _CORRELATED)
         longest = whole_samples(where, "longest", self.longest, self.dt)
         require(2 <= longest <= 100, where, f"longest = {self.longest} [s], expected 2 to 100 samples of {self.dt:g} s")
 
@@ -178,10 +141,6 @@ class Bank(Block):
     def _line(self) -> int:
         """Samples of a delay line."""
         return round(self.longest / self.dt) + 1
-
-    def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        """What is measured, as an angle [rad]; its weight [1/rad^2]; could it be read?"""
-        raise NotImplementedError
 
     def _summed(
         self, sums: Sums, moments: State, rows: Sequence[Sequence[Scalar]], measured: Sequence[Scalar], used: Scalar
@@ -193,7 +152,7 @@ class Bank(Block):
         if used is False:  # one car
             return sums, list(moments)
         response, weight = measured
-        share = self.dt / self.correlated  # of an independent sample
+        share = self.dt / _CORRELATED  # of an independent sample
         keep = m.where(used, math.exp(-self.dt / self.memory), 1.0)
         weight = m.where(used, weight * share, 0.0)
         total = keep * sums.total + weight

@@ -10,10 +10,11 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.bank import MOMENTS, Bank, OfWheel, OfYawRate, Sums
+from steerkit.estimators.bank import MOMENTS, Bank, Sums
 from steerkit.estimators.estimate import estimate_ports
 from steerkit.estimators.steering_response import SLOWEST, at, steady_gain, yaw_delay, yaw_step
 from steerkit.task import STOP
+from steerkit.vehicles import Vehicle, require_vehicle
 
 _GAP = radians_of(1.0)
 """Half of the free play whose loop is a regressor [rad]."""
@@ -126,6 +127,10 @@ class DelayBank(Bank):
         start[len(Sums._fields) + _Before._fields.index("speed")] = m.filled(SLOWEST, batch)
         return tuple(start)
 
+    def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        """What is measured, as an angle [rad]; its weight [1/rad^2]; could it be read?"""
+        raise NotImplementedError
+
     def _followed(self, before: _Before, wheel: Scalar, behind: Scalar, speed: Scalar) -> tuple[State, Scalar, Scalar]:
         """The model's car under this wheel, and under that behind the free play; w and h [rad]."""
         return before[6:10], wheel, wheel - behind
@@ -203,7 +208,7 @@ class DelayBank(Bank):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class WheelDelay(OfWheel, DelayBank):
+class WheelDelay(DelayBank):
     """Dead time and lag from the steering command to the measured steering wheel, for a car that measures it.
 
     As `DelayBank` says, with response = delta_sw_meas and w the commands behind the lag alone. To be preferred where
@@ -214,12 +219,21 @@ class WheelDelay(OfWheel, DelayBank):
     to them; missing [1].
     """
 
+    delta_sw_meas = In("rad", direct=False)
+    v = In("m/s", direct=False)
+
+    noise: float = number(radians_of(0.1), "rad", low=1e-6, high=1.0)
+    """Standard deviation of delta_sw_meas about what the model makes of the command [rad]."""
+
+    def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        return u.delta_sw_meas, 1.0 / self.noise**2, m.is_finite(u.delta_sw_meas)
+
     def output(self, t: Any, x: State, u: Any) -> Any:
         return self.Y(*self._found(x))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class YawDelay(OfYawRate, DelayBank):
+class YawDelay(DelayBank):
     """Dead time and lag from the steering command to the measured yaw rate, for any car with a gyro.
 
     As `DelayBank` says, with response = r n (L + K v^2)/v and w the commands behind lag and linear single track, both
@@ -230,9 +244,24 @@ class YawDelay(OfYawRate, DelayBank):
     them; missing [1].
     """
 
+    r = In("rad/s", direct=False)
+    v = In("m/s", direct=False)
+
+    vehicle: Vehicle
+    """The car by its data sheet."""
+    noise: float = number(radians_of(0.2), "rad/s", low=1e-6, high=1.0)
+    """Standard deviation of the white noise on r [rad/s]."""
     yaw_unknown: float = number(0.15, "1", low=0.0, high=1.0)
     """Standard deviation of the car's own delay, as a share of the data sheet's: mostly of the tyres' stiffness [1]."""
     play_share: ClassVar[float] = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_vehicle(self.vehicle, type(self).__name__)
+
+    def _response(self, u: Any, speed: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        gain = steady_gain(self.vehicle, m.where(m.is_finite(u.v), m.maximum(u.v, SLOWEST), speed))
+        return u.r / gain, gain * gain / self.noise**2, m.is_finite(u.r)
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         return self.Y(*self._found(x))

@@ -41,7 +41,7 @@ from steerkit.diagram.block import Block, In, Out, Wrapper
 from steerkit.doe import Corrected, Integrator, LowPass, PlainAngle, WithElement
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
-from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
+from steerkit.estimators.steering_hysteresis import SteeringFriction
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.gym.task import Agent
 from steerkit.paths.path import Path
@@ -121,7 +121,7 @@ def _careful(block: Any, i: int) -> Block:
 
 EXAMPLES = [
     *map(Example, (Integrator(), LowPass(), PlainAngle(), WheelDelay(prior_delay=0.05, longest=0.1, prior_lag=0.02))),
-    *map(Example, (YawDelay(vehicle=PASSAT), SteeringFriction(longest=0.2), SteeringPlay(vehicle=PASSAT))),
+    *map(Example, (YawDelay(vehicle=PASSAT), SteeringFriction(longest=0.2))),
     Example(SingleTrackFilter(vehicle=PASSAT), blind=("psi",)),
     *map(Example, (Corrected(), Corrected(element=LowPass()), ExcursionPredictor(), Stanley.of(PASSAT))),
     *map(Example, (Stanley.textbook(PASSAT), delayed_stanley(PASSAT, delay=0.13, lag=0.1))),

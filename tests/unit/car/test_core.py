@@ -353,12 +353,12 @@ def test_who_reads_no_keys_cannot_engage_beside_two_panels_whose_names_are_shown
     assert world.query().holder == "x" * 80
 
 
-@pytest.mark.parametrize("hello", [["Hello", False, 4, ""], ["Hello", True, 7, "", "me", 1.0], ["Hello", False, 1]])
+@pytest.mark.parametrize("hello", [["Hello", False, 4, ""], ["Hello", True, 8, "", "me", 1.0], ["Hello", False, 1]])
 def test_a_client_of_another_version_is_told_so(hello: list[Any]) -> None:
     core = Core(config())
     core.handle(Link(5.0, 1, True))
     (reply,) = core.handle(Packet(5.0, 1, json.dumps(hello).encode()))
-    both = f"version 6 of the protocol, not {hello[2]}: start both from the same installation"
+    both = f"version 7 of the protocol, not {hello[2]}: start both from the same installation"
     assert decode(reply.data) == Refused(f"the car server speaks {both}")  # type: ignore[union-attr]
     assert refusals(core, 5.1, 1, Command(Order.ARM)) == ["say hello first, with a version that is understood"]
     assert core.machine.mode is Mode.OFF

@@ -43,7 +43,6 @@ def test_the_truth_is_in_the_intervals(calibration: Made) -> None:
         "offset": OFFSET,
         "rate_zero": RATE_ZERO,
         "friction": 0.0,
-        "play": 0.0,
     }
     assert list(found) == list(ESTIMATES)
     outside = {
@@ -69,9 +68,8 @@ def test_a_samples_motion_goes_with_the_next_ones_wheel_and_command(monkeypatch:
     estimators = CarEstimators(CONFIG)
     estimators.sample(one)
     estimators.sample(two)
-    for name, angle in (("filter", "delta_sw"), ("play", "angle")):
-        motion = {key: got[name][key] for key in ("v", "r", "psi", angle, "delay", "lag")}
-        assert motion == {"v": 5.0, "r": 0.1, "psi": 0.2, angle: 0.7, "delay": 0.05, "lag": 0.0}
+    motion = {key: got["filter"][key] for key in ("v", "r", "psi", "delta_sw", "delay", "lag")}
+    assert motion == {"v": 5.0, "r": 0.1, "psi": 0.2, "delta_sw": 0.7, "delay": 0.05, "lag": 0.0}
     for name, command in (("short lag", "delta_sw_cmd"), ("long lag", "delta_sw_cmd"), ("friction", "angle")):
         assert (got[name][command], got[name]["delta_sw_meas"], got[name]["active"]) == (0.8, 0.3, 1.0)
     estimators.sample(two._replace(t=1.15))
@@ -163,7 +161,7 @@ def test_an_error_of_arithmetic_resets_the_estimators_and_is_counted(
         raise ZeroDivisionError
 
     with monkeypatch.context() as patch:
-        patch.setattr(type(estimators.blocks["play"]), "update", divides)
+        patch.setattr(type(estimators.blocks["friction"]), "update", divides)
         estimators.sample(samples[200])
     assert estimators.faults == 1
     assert estimators.found() == CarEstimators(CONFIG).found()

@@ -59,8 +59,8 @@ STRANGE: list[Any] = [
     *([], 3, {}, {"Query": 1}, None, ["Reqest", *REQUEST[1:]], REQUEST[:-1], [*REQUEST, 1.0]),
     *(["Request", value, 0.0, 0] for value in ("x", "1.5", "nan", True, None, [], {}, 10**400)),
     *(["Request", 0.0, 0.0, value] for value in (1.5, True, "1", None, -1, 1 << 32, 10**4299)),
-    *([["Command", "FASTER"], ["Command", []], ["Remark", 1], ["Hello", 1, 6, "", ""], ["Hello", True, 6, None, ""]]),
-    *(["Hello", True, *rest] for rest in ([], ["4"], [6], [6, ""], [6, "", None], [6, "", "", ""])),
+    *([["Command", "FASTER"], ["Command", []], ["Remark", 1], ["Hello", 1, 7, "", ""], ["Hello", True, 7, None, ""]]),
+    *(["Hello", True, *rest] for rest in ([], ["4"], [7], [7, ""], [7, "", None], [7, "", "", ""])),
     *(["Estimates", value] for value in (FOUND[1:], [*FOUND, 0.0], 1.0, "1" * len(FOUND), [*FOUND[1:], True])),
 ]
 

@@ -13,7 +13,7 @@ from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import Estimated, estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import WheelDelay, YawDelay
-from steerkit.estimators.steering_hysteresis import SteeringFriction, SteeringPlay
+from steerkit.estimators.steering_hysteresis import SteeringFriction
 from tests.support.steered_car import PASSAT, answered, driven_fast, gaps, quantities, steered
 
 ALL: dict[str, Any] = {
@@ -21,7 +21,6 @@ ALL: dict[str, Any] = {
     "yaw": YawDelay(vehicle=PASSAT, longest=0.3),
     "filter": SingleTrackFilter(vehicle=PASSAT),
     "friction": SteeringFriction(longest=0.2),
-    "play": SteeringPlay(vehicle=PASSAT, longest=0.2),
 }
 
 Y = SteeringFriction.Y(friction=15.0, friction_deviation=0.5, friction_valid=1.0, missing=0.0)

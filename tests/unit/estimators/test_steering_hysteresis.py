@@ -1,6 +1,5 @@
-"""Friction and free play are found from the loops that they leave, and are not taken for delay."""
+"""Friction is found from the loop that it leaves, and is not taken for delay."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,29 +7,19 @@ import pytest
 
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import Estimated, estimated
-from steerkit.estimators.steering_hysteresis import PER_LAG, HysteresisBank, SteeringFriction, SteeringPlay
-from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, steered
+from steerkit.estimators.steering_hysteresis import PER_LAG, SteeringFriction
+from tests.support.steered_car import Signals, answered, driven_fast, steered
 
-FRICTION, PLAY = SteeringFriction(), SteeringPlay(vehicle=PASSAT)
+FRICTION = SteeringFriction()
 
 
-def worn(seconds: float = 60.0, *, friction_deg: float = 0.0, play_deg: float = 0.0, v: float = 8.0) -> Signals:
-    signals = answered(
-        steered(seconds), delay=0.15, lag=0.2, v=v, friction=radians_of(friction_deg), play=radians_of(play_deg)
-    )
+def worn(seconds: float = 60.0, *, friction_deg: float = 0.0) -> Signals:
+    signals = answered(steered(seconds), delay=0.15, lag=0.2, friction=radians_of(friction_deg))
     return signals | {"angle": signals["delta_sw_cmd"]}
 
 
-def behind_the_wheel(signals: Signals) -> Signals:
-    """What `SteeringPlay` is fed: the measured wheel, a yaw rate with noise, 50 ms old."""
-    late = np.concatenate((signals["r"][:1], signals["r"][:-1]))
-    r = late + np.random.default_rng(1).normal(0.0, PLAY.noise, len(late))
-    ones = np.ones(len(late))
-    return signals | {"angle": signals["delta_sw_meas"], "delay": 0.055 * ones, "lag": 0.0 * ones, "r": r}
-
-
-def said(block: HysteresisBank, x: Any) -> Estimated:
-    return estimated(block.output(0.0, x, ()), block.outputs[0].name)
+def said(block: SteeringFriction, x: Any) -> Estimated:
+    return estimated(block.output(0.0, x, ()), "friction")
 
 
 @pytest.mark.parametrize("degrees", [0.0, 0.4, 1.5])
@@ -49,34 +38,12 @@ def test_a_delay_that_is_given_wrong_is_not_taken_for_friction(late: float) -> N
     assert found.low <= radians_of(0.5) <= found.high
 
 
-@pytest.mark.parametrize("degrees", [0.0, 2.5])
-def test_play_is_found_behind_the_wheel(degrees: float) -> None:
-    found = said(PLAY, driven_fast(PLAY, behind_the_wheel(worn(240.0, friction_deg=0.5, play_deg=degrees))))
-    assert found.low <= radians_of(degrees) <= found.high
-    assert found.value == pytest.approx(radians_of(degrees), rel=0.1, abs=radians_of(0.25))
-    assert found.deviation < radians_of(0.3)
-
-
-def test_play_is_found_at_changing_speeds_behind_other_tyres() -> None:
-    """What the play leaves goes through the car, and a softer front axle steers less the faster it is."""
-    t = 0.05 * np.arange(1600)
-    v = 12.0 + 6.0 * np.sin(0.2 * t)
-    command = 2.0 * np.minimum(1.0, 10.0 / v) ** 2 * steered(80.0)
-    soft = replace(PASSAT, c_f=0.75 * PASSAT.c_f)
-    signals = answered(command, delay=0.15, lag=0.2, v=v, play=radians_of(1.0), car=soft)
-    found = said(PLAY, driven_fast(PLAY, behind_the_wheel(signals)))
-    assert found.low <= radians_of(1.0) <= found.high
-    assert found.value == pytest.approx(radians_of(1.0), abs=radians_of(0.2))
-
-
-@pytest.mark.parametrize("block", [FRICTION, PLAY], ids=["friction", "play"])
-def test_on_a_straight_the_prior_stays(block: HysteresisBank) -> None:
+def test_on_a_straight_the_prior_stays() -> None:
     signals = answered(np.zeros(1200), delay=0.15, lag=0.2)
-    found = said(block, driven_fast(block, behind_the_wheel(signals)))
-    ends = 2.0 if block is PLAY else 1.0
+    found = said(FRICTION, driven_fast(FRICTION, signals | {"angle": signals["delta_sw_meas"]}))
     assert found.valid == 0.0
-    assert found.value == pytest.approx(ends * block.prior, abs=radians_of(0.05))
-    assert found.deviation == pytest.approx(ends * block.prior_deviation, rel=0.05)
+    assert found.value == pytest.approx(FRICTION.prior, abs=radians_of(0.05))
+    assert found.deviation == pytest.approx(FRICTION.prior_deviation, rel=0.05)
 
 
 def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() -> None:
