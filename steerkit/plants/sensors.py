@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from steerkit._support.errors import number, require, require_within, whole_samples
+from steerkit._support.errors import number, require_within, whole_samples
 from steerkit._support.random import RandomState, normals, seed_state, uniform
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
@@ -15,13 +15,43 @@ from steerkit.diagram.maths import Scalar
 from steerkit.diagram.units import radians_of
 from steerkit.vehicles import Vehicle
 
-_STREAM, _STREAM_DEGRADED = 2, 13  # of `seed_state`: the sensors', and what goes wrong
+_STREAM, _STREAM_FAULTS = 2, 13  # of `seed_state`: the noise, and what goes wrong
 _SLOWEST = 1.0  # m/s, for the estimate of sideslip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Sensing(Block):
-    """The ports of all sensors: the truth, and what is seen of it; abstract."""
+class Sensors(Block):
+    """Measured pose and motion: the truth with bias, noise and drift, `latency` late; and what goes wrong with it.
+
+    measured(t) = truth(t) + bias + noise n(t) + drift d(t),  seen(t) = measured(t - latency),
+    d(t + dt) = f d(t) + sqrt(1 - f^2) n'(t),  f = exp(-dt/drift_time)   (Gauss-Markov, of the given deviation),
+
+    n and n' standard normal, new for every sample and channel. By default all is zero: seen = truth. Each channel has a
+    bias, x_bias, y_bias, psi_bias, v_bias, beta_bias, r_bias, and the standard deviations of noise and drift are
+    position_noise and position_drift, of x and of y, psi_noise and psi_drift, v_noise, beta_noise, r_noise.
+
+    A car in series sees worse, for judging controllers by what they will really see. With g' standard normal, new each
+    sample, and for the truth in measured(t)
+
+    older(t) = truth(t) + a (truth(t - dt) - truth(t)),  a dt uniform in 0 ... age_jitter, new each sample:
+    x, y += o(t),  o(t + dt) = jump g' with probability dt/jump_time, else o(t),
+    psi += b(t),  b(t + dt) = f b(t) + heading_drift sqrt(1 - f^2) g',  f = exp(-dt/heading_time),
+    beta = rear r/max(v, 1 m/s)  where `rear` is given,
+    seen(t) = seen(t - dt)  with the probability `lost`, else all of this.
+
+    A position jumps when satellites are lost and found; the heading of an inertial unit wanders over minutes; and no
+    car in series measures sideslip, so it is taken to be that of a rear axle that does not slide.
+
+    inputs: x_in, y_in [m], psi_in [rad], v_in [m/s], beta_in [rad], r_in [rad/s], the truth. outputs: x, y, psi, v,
+    beta, r, seen; age [s] of these, as a receiver stamps it: the latency, a dt and, held, dt after dt more. state: six
+    errors of the present sample, three drifts, the generator's six numbers; the seven seen and the six true ones of the
+    sample before, the share a, whether this sample is lost, o (two), b, six numbers of a second generator; then the
+    latency/dt samples on their way (six numbers and their share, oldest first), all equal to the first sample at the
+    start. In a batch, car i draws as sensors of seed + i do; deviations and biases may be `(N,)` arrays.
+    errors: ValueError for a latency that is no multiple of dt. source: Gelb 1974 (Gauss-Markov); Nilsson 1998 (jitter);
+    Misra, Enge 2011, ch. 5 and 7 (jumps of a position); Titterton, Weston 2004, ch. 12 (drift of a heading); Rajamani
+    2012, eq. 2.12.
+    """
 
     x_in = In("m")
     y_in = In("m")
@@ -33,28 +63,9 @@ class _Sensing(Block):
     y = Out("m", direct=(y_in,))
     psi = Out("rad", direct=(psi_in,))
     v = Out("m/s", direct=(v_in,))
-    beta = Out("rad", direct=(beta_in,))
+    beta = Out("rad", direct=(v_in, beta_in, r_in))  # of v and r, where `rear` is given
     r = Out("rad/s", direct=(r_in,))
     age = Out("s", direct=())
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Sensors(_Sensing):
-    """Measured pose and motion: the truth plus bias, white noise and, on the pose, slow drift, `latency` late.
-
-    measured(t) = truth(t) + bias + noise n(t) + drift d(t),  seen(t) = measured(t - latency),
-    d(t + dt) = f d(t) + sqrt(1 - f^2) n'(t),  f = exp(-dt/drift_time)   (Gauss-Markov, of the given deviation),
-
-    n and n' standard normal, new for every sample and channel. By default all is zero: seen = truth. Each channel has a
-    bias, x_bias, y_bias, psi_bias, v_bias, beta_bias, r_bias, and the standard deviations of noise and drift are
-    position_noise and position_drift, of x and of y, psi_noise and psi_drift, v_noise, beta_noise, r_noise.
-
-    inputs: x_in, y_in [m], psi_in [rad], v_in [m/s], beta_in [rad], r_in [rad/s], the truth. outputs: x, y, psi, v,
-    beta, r, seen; age [s] of these, the latency. state: six errors of the present sample, three drifts, the generator's
-    six numbers, then the latency/dt samples on their way (six numbers each, oldest first), all equal to the first
-    sample at the start. In a batch, car i draws as sensors of seed + i do; deviations and biases may be `(N,)` arrays.
-    errors: ValueError for a latency that is no multiple of dt. source: Gelb 1974 (Gauss-Markov).
-    """
 
     position_noise: Scalar = number(0.0, "m", low=0.0, high=10.0)
     psi_noise: Scalar = number(0.0, "rad", low=0.0, high=1.0)
@@ -73,6 +84,20 @@ class Sensors(_Sensing):
     r_bias: Scalar = number(0.0, "rad/s", low=-10.0, high=10.0)
     latency: float = 0.0
     """Age of what is seen [s], a multiple of dt."""
+    age_jitter: float = 0.0
+    """Longest age beyond the latency [s], at most dt."""
+    lost: float = number(0.0, "1", low=0.0, high=0.9)
+    """Share of samples that do not arrive [1]: the one before is held."""
+    jump: Scalar = number(0.0, "m", low=0.0, high=10.0)
+    """Standard deviation of the offset that x and y have from jump to jump [m]."""
+    jump_time: float = number(20.0, "s", above=0.0, high=1e5)
+    """Mean time between jumps [s]."""
+    heading_drift: Scalar = number(0.0, "rad", low=0.0, high=1.0)
+    """Standard deviation of the slow error of psi [rad]."""
+    heading_time: float = number(60.0, "s", above=0.0, high=1e5)
+    """Its correlation time [s]."""
+    rear: Scalar | None = number(None, "m", low=0.02, high=20.0)
+    """Centre of gravity to rear axle [m], for the estimate of beta; None: beta is measured."""
     seed: int = 0
     """Seed of the random numbers."""
 
@@ -85,9 +110,19 @@ class Sensors(_Sensing):
         drifts: Any = dict(position_drift=size * 0.01, psi_drift=size * radians_of(0.1), drift_time=2.0)
         return cls(**drifts, r_noise=size * radians_of(0.2), latency=0.05, seed=seed)
 
+    @classmethod
+    def real(cls, vehicle: Vehicle, seed: int = 0, size: float = 1.0) -> Self:
+        """A production car with a good satellite receiver: `hard` with 0.05 m/s of noise on the wheels' speed, up to
+        20 ms of jitter, one sample in a hundred lost, jumps of 2 cm every 20 s, a heading that wanders by 0.2 degrees
+        within minutes, sideslip unknown. size: factor on all errors but the age, of lost ones up to a half."""
+        faults: Any = dict(age_jitter=0.02, lost=min(0.5, size * 0.01), jump=size * 0.02)
+        drift = size * radians_of(0.2)
+        return replace(cls.hard(seed, size), v_noise=size * 0.05, heading_drift=drift, rear=vehicle.l_r, **faults)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         whole_samples("Sensors", "latency", self.latency, self.dt)
+        require_within("Sensors", "age_jitter", self.age_jitter, "s", 0.0, self.dt, "at most dt")
         seed_state(self.seed)
 
     @cached_property
@@ -104,24 +139,43 @@ class Sensors(_Sensing):
         """Are there no random errors to draw?"""
         return not any(np.any(deviation) for deviation in (*self._noise, *self._drift))
 
+    @cached_property
+    def _faultless(self) -> bool:
+        """Does nothing go wrong from sample to sample?"""
+        return not any(np.any(size) for size in (self.age_jitter, self.lost, self.jump, self.heading_drift))
+
     def init(self, batch: tuple[int, ...] = ()) -> State:
         zero = m.filled(0.0, batch)
-        random = seed_state(self.seed, batch, stream=_STREAM)
-        waiting = (zero,) * (6 * round(self.latency / self.dt))
-        return (*self._drawn((zero,) * 3, random, kept=0.0), *waiting)
+        errors = self._drawn((zero,) * 3, seed_state(self.seed, batch, stream=_STREAM), kept=0.0)
+        g1, g2, random = normals(seed_state(self.seed, batch, stream=_STREAM_FAULTS))
+        g3, _, random = normals(random)
+        faults = (*(zero,) * 15, self.jump * g1, self.jump * g2, self.heading_drift * g3, *random)
+        return (*errors, *faults, *(zero,) * (7 * round(self.latency / self.dt)))
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        return (*x[:15], *self._measured(x, u) * (len(x[15:]) // 6))
+        return (*x[:39], *self._measured(x, u) * (len(x[39:]) // 7))
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        return self.Y(*(x[15:21] or self._measured(x, u)), self.latency)
+        px, py, psi, v, beta, r, share = x[39:46] or self._measured(x, u)
+        if self.rear is not None:
+            beta = self.rear * r / m.maximum(v, _SLOWEST)
+        if self._faultless:
+            return self.Y(px, py, psi, v, beta, r, self.latency)
+        seen = (px + x[30], py + x[31], psi + x[32], v, beta, r, self.latency + share * self.dt)
+        held = (*x[15:21], x[21] + self.dt)
+        return self.Y(*[m.where(x[29] > 0.5, before, now) for now, before in zip(seen, held)])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         errors = x[:15] if self._exact else self._drawn(x[6:9], x[9:15], kept=float(np.exp(-self.dt / self.drift_time)))
-        return (*errors, *x[21:], *self._measured(x, u)) if x[15:] else errors
+        faults = x[15:39] if self._faultless else (*y, *[truth + 0.0 for truth in u], *self._faults(x[30:39]))
+        return (*errors, *faults, *x[46:], *self._measured(x, u)) if x[39:] else (*errors, *faults)
 
     def _measured(self, x: State, u: Any) -> State:
-        return tuple([truth + error for truth, error in zip(u, x[:6])])
+        """What is measured now, and the share of a sample by which it is older."""
+        share = x[28]
+        if not self._faultless:
+            u = [now + share * (before - now) for now, before in zip(u, x[22:28])]
+        return (*[truth + error for truth, error in zip(u, x[:6])], share)
 
     def _drawn(self, drift: State, random: RandomState, kept: float) -> State:
         """Errors, drifts and generator for the next sample; `kept` is the drift's share f that stays."""
@@ -135,89 +189,9 @@ class Sensors(_Sensing):
         errors = [b + s * g for b, s, g in zip(biases, self._noise, n[:6])]
         return (*[e + d for e, d in zip(errors[:3], drift)], *errors[3:], *drift, *random)
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class DegradedSensors(_Sensing):
-    """Sensors as a car in series has them, for judging controllers by what they will really see.
-
-    With g' standard normal, new each sample, and measured(t) what the wrapped sensors make of the truth a dt ago,
-
-    older(t) = truth(t) + a (truth(t - dt) - truth(t)),  a dt uniform in 0 ... age_jitter, new each sample:
-    x, y += o(t),  o(t + dt) = jump g' with probability dt/jump_time, else o(t),
-    psi += b(t),  b(t + dt) = f b(t) + heading_drift sqrt(1 - f^2) g',  f = exp(-dt/heading_time),
-    beta = rear r/max(v, 1 m/s)  where `rear` is given,
-    seen(t) = seen(t - dt)  with the probability `lost`, else all of this.
-
-    A position jumps when satellites are lost and found; the heading of an inertial unit wanders over minutes; and no
-    car in series measures sideslip, so it is taken to be that of a rear axle that does not slide. By default all is
-    off, and beta is what the sensors say.
-
-    inputs: x_in, y_in [m], psi_in [rad], v_in [m/s], beta_in [rad], r_in [rad/s], the truth. outputs: x, y, psi, v,
-    beta, r, seen; age [s] of these, as a receiver stamps it: the latency, a dt and, held, dt after dt more. state: the
-    seven seen and the six true ones, the share a, whether this sample is lost, o (two), b, the generator's six numbers,
-    the shares of the samples on their way, oldest first, then the wrapped sensors'. In a batch, car i draws as sensors
-    of seed + i. source: Nilsson 1998 (jitter); Misra, Enge 2011, ch. 5 and 7 (jumps of a position); Titterton, Weston
-    2004, ch. 12 (drift of a heading); Rajamani 2012, eq. 2.12.
-    """
-
-    beta = Out("rad")  # of v and r, where `rear` is given
-
-    block: Sensors
-    """The sensors; their seed is this block's."""
-    age_jitter: float = 0.0
-    """Longest age beyond the sensors' latency [s], at most dt."""
-    lost: float = number(0.0, "1", low=0.0, high=0.9)
-    """Share of samples that do not arrive [1]: the one before is held."""
-    jump: Scalar = number(0.0, "m", low=0.0, high=10.0)
-    """Standard deviation of the offset that x and y have from jump to jump [m]."""
-    jump_time: float = number(20.0, "s", above=0.0, high=1e5)
-    """Mean time between jumps [s]."""
-    heading_drift: Scalar = number(0.0, "rad", low=0.0, high=1.0)
-    """Standard deviation of the slow error of psi [rad]."""
-    heading_time: float = number(60.0, "s", above=0.0, high=1e5)
-    """Its correlation time [s]."""
-    rear: Scalar | None = number(None, "m", low=0.02, high=20.0)
-    """Centre of gravity to rear axle [m], for the estimate of beta; None: beta is measured."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        where = "DegradedSensors"
-        require(self.dt == self.block.dt, where, f"dt = {self.dt} s, but its sensors have {self.block.dt} s")
-        require_within(where, "age_jitter", self.age_jitter, "s", 0.0, self.dt, "at most dt")
-
-    @classmethod
-    def real(cls, vehicle: Vehicle, seed: int = 0, size: float = 1.0) -> Self:
-        """A production car with a good satellite receiver: `Sensors.hard` with 0.05 m/s of noise on the wheels' speed,
-        up to 20 ms of jitter, one sample in a hundred lost, jumps of 2 cm every 20 s, a heading that wanders by 0.2
-        degrees within minutes, sideslip unknown. size: factor on all errors but the age, of lost ones up to a half."""
-        faults: Any = dict(age_jitter=0.02, lost=min(0.5, size * 0.01), jump=size * 0.02)
-        block = replace(Sensors.hard(seed, size), v_noise=size * 0.05)
-        return cls(block=block, heading_drift=size * radians_of(0.2), rear=vehicle.l_r, **faults)
-
-    def init(self, batch: tuple[int, ...] = ()) -> State:
-        zero = m.filled(0.0, batch)
-        g1, g2, random = normals(seed_state(self.block.seed, batch, stream=_STREAM_DEGRADED))
-        g3, _, random = normals(random)
-        start = (self.jump * g1, self.jump * g2, self.heading_drift * g3)
-        return (*(zero,) * 15, *start, *random, *(zero,) * self._waiting, *self.block.init(batch))
-
-    def settle(self, t: float, x: State, u: Any) -> State:
-        n = 24 + self._waiting
-        inner = self.block.settle(t, tuple(x[n:]), self.block.D(*u))
-        measured = self.block.output(t, inner, self.block.D(*u))
-        return (*self._faulty(measured, x), *[truth + 0.0 for truth in u], *x[13:n], *inner)
-
-    def output(self, t: Any, x: State, u: Any) -> Any:
-        seen = self._faulty(self.block.output(t, tuple(x[24 + self._waiting :]), self.block.D(*_older(x, u))), x)
-        held = (*x[:6], x[6] + self.dt)
-        return self.Y(*[m.where(x[14] > 0.5, before, now) for now, before in zip(seen, held)])
-
-    def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        shares, inner = x[24 : 24 + self._waiting], tuple(x[24 + self._waiting :])
-        older = _older(x, u)
-        measured = self.block.output(t, inner, self.block.D(*older))
-        inner = self.block.update(t, inner, self.block.U(*older), measured)
-        o_x, o_y, b, *state = x[15:24]
+    def _faults(self, x: State) -> State:
+        """Share a, whether it is lost, o, b and generator for the next sample."""
+        o_x, o_y, b, *state = x
         w_age, random = uniform(tuple(state))
         w_lost, random = uniform(random)
         w_jump, random = uniform(random)
@@ -228,23 +202,4 @@ class DegradedSensors(_Sensing):
         keep = math.exp(-self.dt / self.heading_time)
         b = keep * b + (1.0 - keep * keep) ** 0.5 * self.heading_drift * g3
         share, gone = w_age * (self.age_jitter / self.dt), m.where(w_lost < self.lost, 1.0, 0.0)
-        older_shares = (*shares, x[13])[1:] if shares else ()
-        return (*y, *[truth + 0.0 for truth in u], share, gone, o_x, o_y, b, *random, *older_shares, *inner)
-
-    @cached_property
-    def _waiting(self) -> int:
-        """Samples on their way, whose shares have to be remembered for their stamps."""
-        return round(self.block.latency / self.dt)
-
-    def _faulty(self, measured: State, x: State) -> State:
-        """What is seen of a sample that arrives, and its age, in this state."""
-        px, py, psi, v, beta, r, age = measured
-        if self.rear is not None:
-            beta = self.rear * r / m.maximum(v, _SLOWEST)
-        share = x[24] if self._waiting else x[13]
-        return (px + x[15], py + x[16], psi + x[17], v, beta, r, age + share * self.dt)
-
-
-def _older(x: State, u: Any) -> State:
-    """The truth of a share of a sample ago."""
-    return tuple([now + x[13] * (before - now) for now, before in zip(u, x[7:13])])
+        return (share, gone, o_x, o_y, b, *random)

@@ -39,7 +39,7 @@ CONDITIONS: Mapping[str, Table] = MappingProxyType(
     {"clean": {}, "hard": _HARD, "real": {**_HARD, "sensors": {**_HARD["sensors"], "kind": "real"}}}
 )
 """Named disturbances: tables of a scenario. `hard`: 1 cm of noise, 50 ms of sensor delay, a slower motor; `real`: also
-a noisy speed, no sideslip, late and lost samples, jumps, a heading that wanders (`DegradedSensors.real`)."""
+a noisy speed, no sideslip, late and lost samples, jumps, a heading that wanders (`Sensors.real`)."""
 _SLOWEST = 4.0  # m/s: the speed of a careful driver in the tightest bend of all courses, 5.9 m
 _TIME_TO_SPARE = 10.0  # s
 

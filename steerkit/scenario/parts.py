@@ -22,7 +22,7 @@ from steerkit.paths.importers.course import course_of
 from steerkit.paths.path import Path
 from steerkit.paths.waypoints import mended, read_columns
 from steerkit.plants.disturbed_plant import DisturbedPlant
-from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.speed_driver import CurveSpeedDriver, SpeedDriver, SpeedProfile, ceiling
 from steerkit.plants.steering_actuator import (
@@ -358,7 +358,7 @@ class Sensing(Part):
     table: ClassVar[str] = "sensors"
     kind: str = _word("hard", "no sideslip", "real")
     """Which errors `noise` scales: those of `hard` sensors, with or with `no sideslip`, or of `real` ones
-    (`DegradedSensors.real`), which have no sideslip and up to 20 ms of jitter even without noise."""
+    (`Sensors.real`), which have no sideslip and up to 20 ms of jitter even without noise."""
     noise: float = number(0.0, "1", low=0.0, high=1000.0)
     """Pose and rate noise: 1 is 1 cm and 0.1 deg of drift and 0.2 deg/s of white noise (`Sensors.hard`)."""
     latency: float = number(0.0, "s", low=0.0, high=2.0)
@@ -377,36 +377,33 @@ class Sensing(Part):
         """Do they depend on a seed?"""
         return self.kind == "real" or self.noise > 0.0
 
-    def sensors(self, nominal: Vehicle, seed: int) -> Block | None:
+    def sensors(self, nominal: Vehicle, seed: int) -> Sensors | None:
         """What is measured; None for the truth."""
         noise, latency = self.noise, self.latency
         biases: Any = dict(r_bias=radians_of(self.gyro_zero_deg), x_bias=self.bias)
         if self.kind == "real":
-            degraded = DegradedSensors.real(nominal, seed, noise)
-            return replace(degraded, block=replace(degraded.block, latency=latency, **biases))
+            return replace(Sensors.real(nominal, seed, noise), latency=latency, **biases)
         sideslip = self.kind == "hard"
         if not any((noise, latency, *biases.values())) and sideslip and self.estimator == "none":
             return None
-        hard = replace(Sensors.hard(seed, noise), latency=latency, **biases)
-        return hard if sideslip else DegradedSensors(block=hard, rear=nominal.l_r)
+        rear = None if sideslip else nominal.l_r
+        return replace(Sensors.hard(seed, noise), latency=latency, rear=rear, **biases)
 
     def state_estimator(self, nominal: Vehicle) -> VehicleState | None:
         """The estimator of the car's state; None if controllers see the sensors themselves."""
         if self.estimator == "none":
             return None
-        sensors: Any = self.sensors(nominal, 0)
-        degraded = isinstance(sensors, DegradedSensors)
-        noise: Sensors = sensors.block if degraded else sensors
+        noise: Any = self.sensors(nominal, 0)
         adapts = self.estimator == "adaptive-state"
         return VehicleState.of(
             NonlinearSingleTrack(vehicle=nominal),
             horizon=self.latency + DT,
-            position_drift=math.hypot(noise.position_drift, sensors.jump if degraded else 0.0),
+            position_drift=math.hypot(noise.position_drift, noise.jump),
             psi_drift=noise.psi_drift,
             drift_time=noise.drift_time,
             v_noise=noise.v_noise,
             r_noise=noise.r_noise,
-            heading_drift=sensors.heading_drift if degraded else 0.0,
+            heading_drift=noise.heading_drift,
             steering=SingleTrackFilter(vehicle=nominal, held=False) if adapts else None,
         )
 

@@ -47,7 +47,7 @@ from steerkit.gym.task import Agent
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.disturbed_plant import DisturbedPlant
-from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.plants.speed_driver import (
     ConstantSpeed,
@@ -96,10 +96,6 @@ class Example:
 
 def _seeded(block: Any, i: int) -> Block:
     return dataclasses.replace(block, seed=block.seed + i)
-
-
-def _sensed(block: Any, i: int) -> Block:
-    return dataclasses.replace(block, block=_seeded(block.block, i))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -187,11 +183,10 @@ EXAMPLES = [
     *map(Example, (SteeringColumn(friction=0.03, play=0.05), SteeringLink())),
     Example(SteeringLink(quantum=0.01, dead_band=0.02, jitter=0.03, seed=3), single=_seeded),
     Example(Sensors(), single=_seeded),
-    Example(DegradedSensors(block=Sensors(seed=3)), single=_sensed),
     Example(
-        DegradedSensors(block=Sensors.hard(seed=3), age_jitter=0.05, lost=0.3, jump=0.1, jump_time=0.1), single=_sensed
+        dataclasses.replace(Sensors.hard(seed=3), age_jitter=0.05, lost=0.3, jump=0.1, jump_time=0.1), single=_seeded
     ),
-    Example(DegradedSensors.real(PASSAT, seed=3), single=_sensed, blind=("beta_in",)),
+    Example(Sensors.real(PASSAT, seed=3), single=_seeded, blind=("beta_in",)),
     Example(VehicleState.of(NonlinearSingleTrack(vehicle=PASSAT))),
     Example(VehicleState.of(LinearSingleTrack(vehicle=PASSAT), horizon=0.0)),
     Example(
@@ -549,7 +544,7 @@ def test_a_batch_is_its_cars_one_by_one(example: Example) -> None:
         (SteeringActuator(), "lag", (0.0, 0.1, 0.3)),
         (SteeringColumn(friction=0.1), "play", (0.0, 0.1, 0.3)),
         (SteeringLink(dead_band=0.1), "quantum", (0.0, 0.1, 0.3)),
-        (DegradedSensors(block=Sensors()), "rear", (1.0, 1.1, 1.3)),
+        (Sensors(), "rear", (1.0, 1.1, 1.3)),
         (NonlinearSingleTrack(vehicle=PASSAT), "v0", (4.0, 5.0, 9.0)),
         (LinearSingleTrack(vehicle=PASSAT), "psi0", (-1.0, 0.0, 2.0)),
         (ConstantSpeed(), "speed", (4.0, 5.0, 6.0)),

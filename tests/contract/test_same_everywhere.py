@@ -32,7 +32,7 @@ from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.export.c import export_c
 from steerkit.paths.courses import course, figure_eight
-from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, RecordedSpeed, SpeedDriver, SpeedProfile
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
@@ -129,7 +129,7 @@ def worn_steering_and_poor_sensors(seed: int, rng: np.random.Generator) -> Loop:
         link=SteeringLink(quantum=rng.uniform(0.001, 0.01), dead_band=0.012, jitter=0.04, seed=seed),
         actuator=SteeringActuator(delay=0.05),
         column=SteeringColumn(friction=0.01, play=0.03),
-        sensors=DegradedSensors.real(CAR, seed, 3.0),
+        sensors=Sensors.real(CAR, seed, 3.0),
     )
 
 

@@ -113,7 +113,7 @@ def test_arguments_are_checked() -> None:
 
 
 def test_the_streams_of_random_numbers_are_those_of_the_blocks() -> None:
-    """Of a clean car the human's alone; under hard conditions the sensors' too."""
+    """Of a clean car the human's alone; under hard conditions the sensors' two as well: noise and faults."""
     codes = [episode_code(Task(conditions=conditions))[0] for conditions in ("clean", "hard")]
     streams = [line for code in codes for line in code.splitlines() if line.startswith("#define STREAMS")]
-    assert [line.count(",") for line in streams] == [0, 1]
+    assert [line.count(",") for line in streams] == [0, 2]

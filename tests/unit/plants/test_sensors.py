@@ -1,12 +1,13 @@
 """Sensors: latency, bias, noise and drift have the stated sizes."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from steerkit.diagram.units import radians_of
-from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.sensors import Sensors
 from steerkit.plants.speed_driver import SpeedDriver
 from steerkit.vehicles import VW_PASSAT
 from tests.support.stepped import run, run_fast
@@ -66,12 +67,12 @@ def test_sensors_and_driver_of_one_seed_are_unrelated():
 MANY = 20_000
 
 
-def seen(sensors: DegradedSensors, truth: np.ndarray) -> np.ndarray:
+def seen(sensors: Sensors, truth: np.ndarray) -> np.ndarray:
     """What is seen of x, y, psi, v, beta, r; a row a sample."""
     return stamped(sensors, truth)[:, :6]
 
 
-def stamped(sensors: DegradedSensors, truth: np.ndarray) -> np.ndarray:
+def stamped(sensors: Sensors, truth: np.ndarray) -> np.ndarray:
     """The same with the age that its stamp says."""
     if len(truth) > 1000:
         return run_fast(sensors, truth)[0]
@@ -82,21 +83,22 @@ def standing(samples: int) -> np.ndarray:
     return np.tile([1.0, 2.0, 0.3, 5.0, 0.01, 0.2], (samples, 1))
 
 
-def moving(samples: int, sensors: DegradedSensors, v: float = 10.0) -> np.ndarray:
+def moving(samples: int, sensors: Sensors, v: float = 10.0) -> np.ndarray:
     truth = standing(samples)
     truth[:, 0] = v * sensors.dt * np.arange(samples)
     return truth
 
 
-def test_off_it_is_the_sensors() -> None:
-    inner = Sensors.hard(seed=4)
-    truth = np.random.default_rng(0).normal(size=(50, 6))
-    plain = np.array(run(inner, [tuple(row) for row in truth.tolist()])[0])
-    assert (stamped(DegradedSensors(block=inner), truth) == plain).all()
+def test_what_goes_wrong_leaves_the_noise_as_it_is() -> None:
+    """It has random numbers of its own."""
+    hard, truth = Sensors.hard(seed=4), np.random.default_rng(0).normal(size=(50, 6))
+    plain, worse = stamped(hard, truth), stamped(replace(hard, jump=0.1, jump_time=0.1), truth)
+    assert (worse[:, 2:] == plain[:, 2:]).all()
+    assert (worse[:, :2] != plain[:, :2]).any(axis=1).all()
 
 
 def test_age_is_uniform_up_to_the_jitter() -> None:
-    sensors = DegradedSensors(block=Sensors(seed=4), age_jitter=0.03)
+    sensors = Sensors(seed=4, age_jitter=0.03)
     truth = moving(MANY, sensors)
     age = (truth[:, 0] - seen(sensors, truth)[:, 0])[1:] / 10.0
     assert age.min() >= -1e-9
@@ -108,7 +110,7 @@ def test_age_is_uniform_up_to_the_jitter() -> None:
 
 def test_the_stamp_tells_the_age_of_what_is_seen() -> None:
     """Also of a sample that is held, as the next were lost, and of the latency."""
-    sensors = DegradedSensors(block=Sensors(seed=4, latency=0.1), age_jitter=0.03, lost=0.3)
+    sensors = Sensors(seed=4, latency=0.1, age_jitter=0.03, lost=0.3)
     truth = moving(2000, sensors)
     found = stamped(sensors, truth)[20:]
     assert found[:, 6] == pytest.approx((truth[20:, 0] - found[:, 0]) / 10.0, abs=1e-9)
@@ -116,7 +118,7 @@ def test_the_stamp_tells_the_age_of_what_is_seen() -> None:
 
 
 def test_a_lost_sample_is_the_one_before_and_as_many_are_lost_as_said() -> None:
-    sensors = DegradedSensors(block=Sensors(seed=4), lost=0.2)
+    sensors = Sensors(seed=4, lost=0.2)
     truth = np.cumsum(np.ones((MANY, 6)), axis=0)
     found = seen(sensors, truth)
     held = (found[1:] == found[:-1]).all(axis=1)
@@ -125,7 +127,7 @@ def test_a_lost_sample_is_the_one_before_and_as_many_are_lost_as_said() -> None:
 
 
 def test_a_position_jumps_as_often_and_as_far_as_said() -> None:
-    sensors = DegradedSensors(block=Sensors(seed=4), jump=0.1, jump_time=0.5)
+    sensors = Sensors(seed=4, jump=0.1, jump_time=0.5)
     error = seen(sensors, standing(MANY))[:, :2] - (1.0, 2.0)
     jumps = np.diff(error[:, 0]) != 0.0
     assert (jumps == (np.diff(error[:, 1]) != 0.0)).all()
@@ -136,7 +138,7 @@ def test_a_position_jumps_as_often_and_as_far_as_said() -> None:
 
 
 def test_the_heading_wanders_slowly() -> None:
-    sensors = DegradedSensors(block=Sensors(seed=4), heading_drift=radians_of(0.2), heading_time=2.0)
+    sensors = Sensors(seed=4, heading_drift=radians_of(0.2), heading_time=2.0)
     error = seen(sensors, standing(2 * MANY))[:, 2] - 0.3
     assert error.std() == pytest.approx(radians_of(0.2), rel=0.1)
     lag = round(2.0 / sensors.dt)
@@ -151,23 +153,23 @@ def test_sideslip_is_that_of_a_rear_axle_that_does_not_slide() -> None:
     r = v * kappa
     slip = p.m * p.l_f * v * r / (p.c_r * p.wheelbase)
     truth = np.tile([0.0, 0.0, 0.0, v, p.l_r * kappa - slip, r], (3, 1))
-    found = seen(DegradedSensors(block=Sensors(), rear=p.l_r), truth)[:, 4]
+    found = seen(Sensors(rear=p.l_r), truth)[:, 4]
     assert found - truth[:, 4] == pytest.approx([slip] * 3, rel=1e-12)
     assert slip > radians_of(0.4)  # worth knowing
-    assert seen(DegradedSensors(block=Sensors(), rear=p.l_r), truth * 0.0)[:, 4] == pytest.approx([0.0] * 3)
+    assert seen(Sensors(rear=p.l_r), truth * 0.0)[:, 4] == pytest.approx([0.0] * 3)
 
 
 def test_the_real_ones() -> None:
-    sensors = DegradedSensors.real(VW_PASSAT, seed=7)
-    assert (sensors.block.v_noise, sensors.block.latency, sensors.rear) == (0.05, 0.05, VW_PASSAT.l_r)
-    assert sensors.block.psi_drift == Sensors.hard().psi_drift
+    sensors = Sensors.real(VW_PASSAT, seed=7)
+    assert (sensors.v_noise, sensors.latency, sensors.rear) == (0.05, 0.05, VW_PASSAT.l_r)
+    assert sensors.psi_drift == Sensors.hard().psi_drift
     found = seen(sensors, standing(2000))
     assert found[:, 3].std() == pytest.approx(0.05, rel=0.1)
     assert found[:, 4] == pytest.approx(VW_PASSAT.l_r * found[:, 5] / found[:, 3])
-    silent = DegradedSensors.real(VW_PASSAT, 7, 0.0)
+    silent = Sensors.real(VW_PASSAT, 7, 0.0)
     assert seen(silent, standing(50))[:, [0, 1, 2, 3, 5]] == pytest.approx(standing(50)[:, [0, 1, 2, 3, 5]])
-    louder = DegradedSensors.real(VW_PASSAT, 7, 3.0)
-    assert (louder.block.v_noise, louder.lost, louder.jump) == (pytest.approx(0.15), pytest.approx(0.03), 0.06)
+    louder = Sensors.real(VW_PASSAT, 7, 3.0)
+    assert (louder.v_noise, louder.lost, louder.jump) == (pytest.approx(0.15), pytest.approx(0.03), 0.06)
 
 
 @pytest.mark.parametrize(
@@ -175,10 +177,9 @@ def test_the_real_ones() -> None:
     [
         (dict(latency=0.03), r"latency = 0.03 \[s\], expected a multiple of dt = 0.05 s; valid: 0.05 or 0, or a finer"),
         (dict(seed=0.5), "seed = 0.5"),
-        (dict(block=Sensors(), age_jitter=0.06), "at most dt"),
-        (dict(block=Sensors(), dt=0.01), "its sensors have 0.05 s"),
+        (dict(age_jitter=0.06), "at most dt"),
     ],
 )
 def test_teaching_errors(change, message):
     with pytest.raises(ValueError, match=message):
-        (DegradedSensors if "block" in change else Sensors)(**change)
+        Sensors(**change)

@@ -9,7 +9,7 @@ import pytest
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.paths.courses import straight
-from steerkit.plants.sensors import DegradedSensors, Sensors
+from steerkit.plants.sensors import Sensors
 from steerkit.plants.steering_actuator import SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive
@@ -54,13 +54,26 @@ def test_fields_become_blocks() -> None:
 def test_real_sensors() -> None:
     real, hard = Scenario.under("real"), Scenario.under("hard")
     assert real.with_(sensors={"kind": "hard"}) == hard
-    assert isinstance(measured(hard), Sensors)
-    sensors = measured(real)
-    assert isinstance(sensors, DegradedSensors)
-    assert (sensors.block.seed, sensors.block.latency, sensors.rear) == (3, 0.05, real.nominal.l_r)
+    ordinary, sensors = measured(hard), measured(real)
+    assert isinstance(ordinary, Sensors)
+    assert (ordinary.age_jitter, ordinary.lost, ordinary.jump, ordinary.heading_drift, ordinary.rear) == (
+        0,
+        0,
+        0,
+        0,
+        None,
+    )
+    assert isinstance(sensors, Sensors)
+    assert (sensors.seed, sensors.latency, sensors.rear) == (3, 0.05, real.nominal.l_r)
+    assert (sensors.age_jitter, sensors.lost, sensors.jump, sensors.heading_drift) == (
+        0.02,
+        0.01,
+        0.02,
+        radians_of(0.2),
+    )
     twice = measured(real.with_(sensors={"noise": 2.0, "latency": 0.1}))
-    assert isinstance(twice, DegradedSensors)
-    assert (twice.block.v_noise, twice.block.latency, twice.jump) == (0.1, 0.1, 0.04)
+    assert isinstance(twice, Sensors)
+    assert (twice.v_noise, twice.latency, twice.jump) == (0.1, 0.1, 0.04)
     assert real.with_(sensors={"noise": 0.0}, driver={"v_min": 5.0, "v_max": 5.0}).random
 
 
@@ -70,9 +83,9 @@ def test_an_estimator_is_given_the_data_sheet_and_stands_between_sensors_and_con
     )
     block, sensors = hard.blocks(COURSE)["estimator"], measured(hard)
     assert isinstance(block, VehicleState)
-    assert isinstance(sensors, DegradedSensors)
+    assert isinstance(sensors, Sensors)
     assert (block.position_drift, block.psi_drift, block.heading_drift) == (0.02, radians_of(0.2), 0.0)
-    assert (block.horizon, sensors.rear, sensors.block.seed) == (pytest.approx(0.1), hard.nominal.l_r, 3)
+    assert (block.horizon, sensors.rear, sensors.seed) == (pytest.approx(0.1), hard.nominal.l_r, 3)
     assert hard.design_model().delay == pytest.approx(0.1)
     assert hard.with_(sensors={"estimator": "none"}).design_model().delay == pytest.approx(0.15)
     assert hard.with_(sensors={"estimator": "none"}).blocks(COURSE)["estimator"] is None

@@ -13,7 +13,6 @@ from steerkit.diagram.simulation import simulate
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.metrics.signals import rms
 from steerkit.plants.disturbed_plant import DisturbedPlant
-from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario import drive
@@ -128,10 +127,8 @@ def test_the_best_drives_the_same_way_under_the_same_noise() -> None:
     run, starts, _ = driven(before, [later], now)
     loop = drive.drive_loop(later, drive.controller("lqr", later), seed=now.seed)
     log = simulate(loop, starts[-1])
-    noise = len(Sensors().init()) - 6  # the last six are what was measured before
     mine, its = run.x[run.loop.names.index("sensors")], log.state.x[loop.names.index("sensors")]
-    assert noise > 6
-    assert its[:noise] == mine[:noise]
+    assert its[:15] == mine[:15]  # errors, drifts and the generator
     assert log["path.s"][-1] == pytest.approx(run._value("path.s"), abs=0.1)
 
 
