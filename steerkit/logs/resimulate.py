@@ -19,7 +19,7 @@ from steerkit.logs.channels import Array
 from steerkit.metrics import largest, rms
 from steerkit.paths.path import Path
 from steerkit.plants.single_track import NonlinearSingleTrack
-from steerkit.plants.speed_driver import RecordedSpeed
+from steerkit.plants.speed_driver import Playback
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.plots.style import COLOURS, PALETTE, new_figure, style
 from steerkit.scenario.assembly import bare, steering_loop
@@ -167,7 +167,7 @@ def resimulate(
     loop = steering_loop(
         car=plant,
         path=path,
-        driver=RecordedSpeed(speeds=tuple(speeds.tolist()), spacing=DT),
+        driver=Playback(angles=(0.0,) * len(speeds), speeds=tuple(speeds.tolist()), dt=DT),
         controller=designed(path),
         actuator=actuator,
         reference=ahead,

@@ -1,4 +1,4 @@
-"""Drivers who set the speed: wandering, steady, recorded, careful in bends; and a recorded drive played back."""
+"""Drivers who set the speed: wandering, steady, by place, careful in bends; and a recorded drive played back."""
 
 import math
 from dataclasses import dataclass
@@ -97,48 +97,7 @@ class ConstantSpeed(Block):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Profile(Block):
-    """A speed looked up between evenly spaced samples; abstract. `v(p)` is linear between `speeds`."""
-
-    speeds: tuple[float, ...]
-    """Speeds [m/s] at p = 0, spacing, 2 spacing, ...; two at least."""
-    spacing: float = number(unit="s or m", low=1e-6, high=1e6)
-    """Distance between them, in the unit of what they are recorded over."""
-    repeat: bool = False
-    """After the last sample, go on with the first (which it should equal)? Otherwise hold the last."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        where = type(self).__name__
-        require(np.ndim(self.speeds) == 1 and len(self.speeds) >= 2, where, "speeds, expected two numbers or more")
-        require_within(where, "speeds", np.asarray(self.speeds), "m/s", 0.0, _FASTEST)
-
-    @cached_property
-    def _table(self) -> Table:
-        return m.rising(self.speeds)
-
-    def _speed(self, p: Scalar) -> Scalar:
-        """v at p; a NaN p gives NaN."""
-        n, z = float(len(self._table)), p / self.spacing
-        return m.between(self._table, z - n * m.floor(z / n) if self.repeat else m.clip(z, 0.0, n))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RecordedSpeed(_Profile):
-    """A driver who repeats a record of speed over time: v(t), linear between samples every `spacing` [s].
-
-    no inputs. output: v [m/s]. no state. Before the first and after the last sample their speeds hold, or with
-    `repeat` the record begins again. errors: ValueError for speeds, spacing or dt out of range.
-    """
-
-    v = Out("m/s", direct=())
-
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(self._speed(t))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SpeedProfile(_Profile):
+class SpeedProfile(Block):
     """A driver with a speed for each place of the course: v(p), linear between samples every `spacing` [m].
 
     input: progress [m] along the path (a `PathTracker`'s). output: v [m/s]. no state. Beyond the ends the speeds
@@ -149,8 +108,26 @@ class SpeedProfile(_Profile):
     progress = In("m")
     v = Out("m/s")
 
+    speeds: tuple[float, ...]
+    """Speeds [m/s] at p = 0, spacing, 2 spacing, ...; two at least."""
+    spacing: float = number(unit="m", low=1e-6, high=1e6)
+    """Distance between them [m]."""
+    repeat: bool = False
+    """After the last sample, go on with the first (which it should equal)? Otherwise hold the last."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        where = "SpeedProfile"
+        require(np.ndim(self.speeds) == 1 and len(self.speeds) >= 2, where, "speeds, expected two numbers or more")
+        require_within(where, "speeds", np.asarray(self.speeds), "m/s", 0.0, _FASTEST)
+
+    @cached_property
+    def _table(self) -> Table:
+        return m.rising(self.speeds)
+
     def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(self._speed(u.progress))
+        n, z = float(len(self._table)), u.progress / self.spacing
+        return self.Y(m.between(self._table, z - n * m.floor(z / n) if self.repeat else m.clip(z, 0.0, n)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -49,14 +49,7 @@ from steerkit.paths.tracker import PathTracker
 from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
-from steerkit.plants.speed_driver import (
-    ConstantSpeed,
-    CurveSpeedDriver,
-    Playback,
-    RecordedSpeed,
-    SpeedDriver,
-    SpeedProfile,
-)
+from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, Playback, SpeedDriver, SpeedProfile
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.scenario.lateral import LateralTarget
 from steerkit.vehicles import VW_PASSAT as PASSAT
@@ -196,7 +189,7 @@ EXAMPLES = [
     ),
     Example(Sensors.hard(seed=3), single=_seeded),
     Example(SpeedDriver(seed=3), single=_seeded),
-    *map(Example, (ConstantSpeed(), RecordedSpeed(speeds=(4.0, 5.0, 7.0, 6.0), spacing=0.1))),
+    Example(ConstantSpeed()),
     Example(Playback(angles=(0.0, 0.5, 0.4, -0.2), speeds=(4.0, 5.0, 7.0, 6.0), delay=0.013)),
     Example(SpeedProfile(speeds=(4.0, 5.0, 7.0, 4.0), spacing=0.5, repeat=True)),
     Example(CurveSpeedDriver(path=OVAL, driver=SpeedDriver(seed=3)), single=_careful),

@@ -34,11 +34,12 @@ from steerkit.export.c import export_c
 from steerkit.paths.courses import course, figure_eight
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, RecordedSpeed, SpeedDriver, SpeedProfile
+from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, SpeedDriver, SpeedProfile
 from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.scenario.assembly import placed, steering_loop
 from steerkit.vehicles import VW_PASSAT as CAR
 from tests.support.compilers import optimising
+from tests.support.straight_road import recorded_speed
 
 PAPER = course("paper")
 SECONDS = 1.5
@@ -78,7 +79,7 @@ def linear_with_a_human(seed: int, rng: np.random.Generator) -> Loop:
 
 
 def nonlinear_with_a_record(seed: int, rng: np.random.Generator) -> Loop:
-    driver = RecordedSpeed(speeds=tuple(rng.uniform(4.0, 7.5, 9)), spacing=0.5)
+    driver = recorded_speed(rng.uniform(4.0, 7.5, 9), spacing=0.5)
     return driven(driver, NonlinearSingleTrack, rng, dt=0.05)
 
 

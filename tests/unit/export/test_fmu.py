@@ -15,16 +15,15 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
 from steerkit.export.fmu import export_fmu
 from steerkit.paths.courses import course
-from steerkit.plants.speed_driver import RecordedSpeed
 from steerkit.vehicles import VW_PASSAT as CAR
-from tests.support.straight_road import looped
+from tests.support.straight_road import looped, recorded_speed
 
 OUTPUTS = ("path.e", "car.x", "car.v", "car.delta_sw", "controller.delta_sw")
 
 
 def loop(k: float = 2.5) -> Loop:
     """With a human who repeats a record over time, which the FMU has to know."""
-    human = RecordedSpeed(speeds=(4.0, 6.0, 5.0, 7.0, 4.5), spacing=0.6)
+    human = recorded_speed((4.0, 6.0, 5.0, 7.0, 4.5), spacing=0.6)
     return looped(replace(Stanley.of(CAR), k=k), course("paper"), 5.0, 0.03, driver=human, s=20.0, e=0.3)
 
 

@@ -11,8 +11,8 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
 from steerkit.gym import TrackSteeringVector
 from steerkit.paths.path import Path
-from steerkit.plants.speed_driver import RecordedSpeed
 from steerkit.scenario import Scenario
+from tests.support.straight_road import recorded_speed
 
 ID = "steerkit/TrackSteering-v0"
 CONTINUOUS = "steerkit/TrackSteeringContinuous-v0"
@@ -109,7 +109,7 @@ def test_an_ended_car_waits_for_its_reset() -> None:
 def test_a_loop_that_asks_for_the_time_is_not_compiled_for_many() -> None:
     class Recorded(Scenario):
         def blocks(self, path: Path, s: float = 0.0, seed: int = 0) -> dict[str, Block | None]:
-            return super().blocks(path, s, seed) | {"driver": RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=1.0)}
+            return super().blocks(path, s, seed) | {"driver": recorded_speed((4.0, 6.0, 5.0), spacing=1.0)}
 
     with pytest.raises(ValueError, match="depends on the time t"):
         TrackSteeringVector(2, scenario=Recorded())

@@ -1,21 +1,13 @@
 """Drivers set the speed: statistics, seeds, records, profiles over the path, bends; a recorded drive comes back."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from steerkit.paths.courses import circle, course
 from steerkit.paths.path import Path
-from steerkit.plants.speed_driver import (
-    ConstantSpeed,
-    CurveSpeedDriver,
-    Playback,
-    RecordedSpeed,
-    SpeedDriver,
-    SpeedProfile,
-)
+from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, Playback, SpeedDriver, SpeedProfile
 from tests.support.stepped import run
 
 
@@ -57,12 +49,6 @@ def test_constant_speed():
     assert speeds(ConstantSpeed(speed=np.array([4.0, 5.0])), 2, (2,)).tolist() == [[4.0, 5.0]] * 2
 
 
-def test_recorded_speed():
-    driver = RecordedSpeed(speeds=(4.0, 6.0, 5.0), spacing=0.1)
-    assert speeds(driver, 7) == pytest.approx([4.0, 5.0, 6.0, 5.5, 5.0, 5.0, 5.0])
-    assert speeds(replace(driver, repeat=True), 5) == pytest.approx([4.0, 5.0, 6.0, 5.5, 4.0])
-
-
 def test_speed_profile_over_progress():
     profile = SpeedProfile(speeds=(4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0), spacing=5.0)
     ask = [(-5.0,), (0.0,), (7.5,), (40.0,), (99.0,), (math.nan,)]
@@ -79,8 +65,8 @@ def test_speed_profile_over_progress():
         (lambda: SpeedDriver(seed=-1), "seed = -1, expected a whole number"),
         (lambda: CurveSpeedDriver(path=circle(20.0), driver=SpeedDriver(dt=0.01)), "its driver has 0.01 s"),
         (lambda: Playback(angles=ANGLES, speeds=SPEEDS[:-1]), "5 angles, 4 speeds"),
-        (lambda: RecordedSpeed(speeds=(4.0,), spacing=1.0), "two numbers or more"),
-        (lambda: RecordedSpeed(speeds=(4.0, math.nan), spacing=1.0), r"speeds = .* \[m/s\]"),
+        (lambda: SpeedProfile(speeds=(4.0,), spacing=1.0), "two numbers or more"),
+        (lambda: SpeedProfile(speeds=(4.0, math.nan), spacing=1.0), r"speeds = .* \[m/s\]"),
     ],
 )
 def test_teaching_errors(make, message):

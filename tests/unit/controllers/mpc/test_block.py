@@ -25,7 +25,7 @@ from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle, straight
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.single_track import LinearSingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed, RecordedSpeed
+from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario.assembly import placed
 from tests.support.places import ROOT
 from tests.support.predictive import (
@@ -42,10 +42,10 @@ from tests.support.predictive import (
     kinds,
     unsolved,
 )
-from tests.support.straight_road import looped
+from tests.support.straight_road import looped, recorded_speed
 
 STEADY = ConstantSpeed(speed=6.0)
-STOPS = RecordedSpeed(speeds=(5.0, 0.0, 0.0, 5.0, 5.0), spacing=1.0)
+STOPS = recorded_speed((5.0, 0.0, 0.0, 5.0, 5.0), spacing=1.0)
 
 
 def loop_of(block: PredictiveSteering, driver: Any = STEADY, path: Any = None, **start: float) -> Loop:
