@@ -57,8 +57,8 @@ NOT_KNOWN = encode(Refused("packet of 41 bytes is not known: zip() argument 2 is
 @pytest.mark.parametrize(
     ("answers", "says"),
     [
-        ([NOT_KNOWN, OLD], "the car server speaks another version of the protocol than 6: end it and start it anew"),
-        ([encode(Refused("it speaks version 7, not 6")), encode(Snapshot(0.0))], "socket: it speaks version 7, not 6"),
+        ([NOT_KNOWN, OLD], "the car server speaks another version of the protocol than 7: end it and start it anew"),
+        ([encode(Refused("it speaks version 8, not 7")), encode(Snapshot(0.0))], "socket: it speaks version 8, not 7"),
     ],
 )
 def test_a_car_server_of_another_version_is_told(
@@ -70,4 +70,4 @@ def test_a_car_server_of_another_version_is_told(
     monkeypatch.setattr(clients, "_ours", lambda line: True)
     with pytest.raises(CarLost, match=says):
         CarClient("socket", controller=controller, name="me")
-    assert sent == [encode(Hello(controller, 6, "", "me")), encode(Query())]
+    assert sent == [encode(Hello(controller, 7, "", "me")), encode(Query())]

@@ -69,6 +69,26 @@ def test_lines_that_are_no_frames_are_left_out_and_what_comes_after_is_read(tmp_
     assert len(log.channels["MOTION.YAW_RATE"].t) == 500
 
 
+def test_a_candump_line_that_lost_a_character_is_no_frame_and_an_error_frame_is_none(tmp_path: Path) -> None:
+    """python-can reads each of them, as a frame of another time, identifier or data."""
+    file, how = written("candump", tmp_path, driven())
+    whole = read_log(file, **how)
+    time, _, frame = file.read_text().split()[:3]
+    lost = [
+        f"{time[1:]} can0 {frame}",
+        f"{time[:-1]} can0 {frame}",
+        f"{time} can0 {frame[:-1]}",
+        f"{time} can0 -{frame}",
+    ]
+    error = f"{time} can0 20000025#0004000000000000"
+    file.write_text("\n".join([*lost, error, file.read_text()]))
+    log = read_log(file, **how)
+    assert log.notes == ("left out 4 lines that are no frames",)
+    assert {name: len(channel.t) for name, channel in log.channels.items()} == {
+        name: len(channel.t) for name, channel in whole.channels.items()
+    }
+
+
 @pytest.mark.parametrize(
     ("dbc", "says"),
     [
