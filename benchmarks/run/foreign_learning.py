@@ -4,13 +4,13 @@ Part of the study `foreign`. Test drives are a whole round of the course, with a
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from benchmarks.foreign_cars import scene
-from benchmarks.run.fleet import best_of
-from benchmarks.run.trials import Ran, Taken, TrialDrive, drive_each, over, ran, train
+from benchmarks.run.learners import OTHER, Learned, Learner, best_told, over
+from benchmarks.run.trials import Taken
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import DEFAULT
 from steerkit.metrics import GOOD, Criterion, Summary, of_log
@@ -42,7 +42,7 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Learned(Ran):
+class Compared(Learned):
     """What became of it, beside the best analytic controller; good: by the criterion of `eased`."""
 
     best: str
@@ -60,37 +60,24 @@ class Learned(Ran):
     """By what factor the wheel rate of one of the last nets is off their median; infinite if one did not hold."""
 
 
-def one_learner(job: Job) -> Learned:
+def one_learner(job: Job) -> Compared:
     """Run it and compare its nets."""
-    scenario = scene(job.car, job.v_min, job.v_max, job.seed, job.conditions)
-    trained = train(Experiment(setting=DEFAULT, scenario=scenario, minutes=job.minutes, seed=job.seed))
-    test, nets, made = job.seed + 1000, trained.nets, dict[int, TrialDrive]()
+    scenario, test = scene(job.car, job.v_min, job.v_max, job.seed, job.conditions), job.seed + OTHER
     best, told = best_told(scenario.with_(course={"rounds": job.rounds}), job.told, test)
-    criterion = eased(told)
-
-    def judged(net: Taken) -> TrialDrive:
-        if id(net) not in made:
-            made[id(net)] = replace(drive_each(scenario, DEFAULT, [net.policy], seed=test)[0], criterion=criterion)
-        return made[id(net)]
-
+    learner = Learner(Experiment(setting=DEFAULT, scenario=scenario, minutes=job.minutes, seed=job.seed), eased(told))
+    nets = learner.trained.nets
     early = [net for net in nets if net.t <= 60.0]
-    final, first = (judged(those[-1]) if those else None for those in (nets, early))
-    return Learned(
-        **ran(trained, judged),
+    return Compared(
+        **learner.figures(),
         best=best,
         best_rms_e=told.rms_e,
         best_wheel_deg=told.rms_wheel_rate_deg,
         best_good=GOOD.met(told),
-        rms_x=over(final, "rms_e", told),
-        rms_x_1=over(first, "rms_e", told),
-        wheel_x=over(final, "rms_wheel_rate_deg", told),
+        rms_x=over(learner.final, "rms_e", told),
+        rms_x_1=over(learner.drive(early[-1]) if early else None, "rms_e", told),
+        wheel_x=over(learner.final, "rms_wheel_rate_deg", told),
         wheel_spread=spread([wheel_rate(scenario, net, test) for net in nets[-job.last :]]),
     )
-
-
-def best_told(scenario: Scenario, names: tuple[str, ...], seed: int) -> tuple[str, Summary]:
-    """The analytic controller of the least RMS e in the scenario, given the truth, and its metrics."""
-    return best_of(scenario.with_(knowledge={"oracle": True, "delay": None, "lag": None}), names, seed)
 
 
 def eased(told: Summary) -> Criterion:

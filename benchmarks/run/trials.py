@@ -1,8 +1,7 @@
 """What studies and suites judge of learning: a whole run with every net that took the wheel, and their test drives."""
 
 import dataclasses
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -78,70 +77,6 @@ class TrialDrive:
     def good(self) -> bool:
         """Did it hold its one round, and meet the bounds of a good driver?"""
         return self.held and self.summary is not None and self.criterion.met(self.summary)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ran:
-    """What a learning run and its final net came to; times in seconds of driving, None or NaN where there is no net."""
-
-    good: float | None
-    """When the first good net took the wheel."""
-    failures: int
-    departure: float
-    """Largest true |e| of the whole run, first failure and recovery included [m]."""
-    stuck: int
-    """How often recovery steered for 20 s without getting to hand over."""
-    nets: int
-    held: bool
-    """Did the final net drive the round, with |e| <= 0.5 m?"""
-    rms_e: float
-    max_e: float
-    wheel_deg: float
-    """RMS rate of the steering wheel [deg/s]."""
-    jerk: float
-    """Largest lateral jerk, smoothed over 0.5 s [m/s^3]."""
-    dead_time: float
-    """That the learner found [s]."""
-
-
-def ran(trained: Trained, judged: Callable[[Taken], TrialDrive]) -> dict[str, Any]:
-    """The fields of `Ran`; judged: the test drive of a net."""
-    run, nets = trained.run, trained.nets
-    final = judged(nets[-1]) if nets else None
-    summary = final.summary if final else None
-    forecast = nets[-1].policy.forecast if nets else None
-    return {
-        "good": first_good(nets, judged),
-        "failures": run.counts.failures,
-        "departure": float(np.abs(run.recorder.log()["path.e"]).max()),
-        "stuck": len(run.counts.stuck),
-        "nets": len(nets),
-        "held": final is not None and final.held,
-        "rms_e": summary.rms_e if summary else math.nan,
-        "max_e": summary.max_e if summary else math.nan,
-        "wheel_deg": summary.rms_wheel_rate_deg if summary else math.nan,
-        "jerk": summary.max_jerk if summary else math.nan,
-        "dead_time": forecast.samples * nets[-1].policy.dt if forecast else 0.0,
-    }
-
-
-FIRST_NETS = 12
-"""So many of a run's first nets are test-driven in search of the first GOOD one, then every fourth."""
-
-
-def first_good(nets: Sequence[Taken], judged: Callable[[Taken], TrialDrive]) -> float | None:
-    """When the first good net took the wheel [s]."""
-    for i, net in enumerate(nets):
-        if (i < FIRST_NETS or i % 4 == 0) and judged(net).good:
-            return net.t
-    return None
-
-
-def over(trial: TrialDrive | None, metric: str, other: Summary) -> float:
-    """A figure of a test drive over another's; infinite if it did not hold."""
-    if trial is None or not trial.held or trial.summary is None:
-        return math.inf
-    return float(getattr(trial.summary, metric) / getattr(other, metric))
 
 
 def drive_each(scenario: Scenario, setting: Setting, policies: Sequence[Any], *, seed: int = 0) -> list[TrialDrive]:

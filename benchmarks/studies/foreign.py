@@ -57,6 +57,7 @@ from benchmarks.run.changes import CHANGES, one_change
 from benchmarks.run.foreign_learning import TOLD as ANALYTIC
 from benchmarks.run.foreign_learning import Job as LearnerJob
 from benchmarks.run.foreign_learning import one_learner
+from benchmarks.run.learners import good, median, share, worst
 from benchmarks.tables import show, show_figures
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import radians_of
@@ -300,8 +301,8 @@ def _recovered(drives: Sequence[kept.Row]) -> dict[str, Any]:
         "recovery_swings": sum(drive["swing"] > 0.0 for drive in drives),
         "recovery_swing_worst": max(drive["swing"] for drive in drives),
         "recovery_lost": sum(not math.isfinite(drive["max_e"]) for drive in drives),
-        "recovery_back_share": float(np.mean([drive["back"] for drive in drives])),
-        "recovery_stays_share": float(np.mean([drive["stays"] for drive in drives])),
+        "recovery_back_share": share(drives, "back"),
+        "recovery_stays_share": share(drives, "stays"),
     }
 
 
@@ -332,29 +333,15 @@ _WORST = {
 
 def learner_figures(runs: Sequence[kept.Row]) -> dict[str, Any]:
     """Medians and worst cases over the runs; what never happened, or did not hold, is infinite."""
-
-    def good(group: Sequence[kept.Row]) -> dict[str, float]:
-        times = [math.inf if run["good"] is None else run["good"] for run in group]
-        return {
-            "good_share": float(np.mean(np.isfinite(times))),
-            "good_median_s": float(np.median(times)),
-            "good_worst_s": max(times),
-        }
-
     rows = []
     for (car, v_min, v_max), group in _groups(runs, "car", "v_min", "v_max").items():
         row = {"car": car, "v": f"{v_min:g} to {v_max:g} m/s", "seeds": len(group)} | good(group)
         for name, field in _WORST.items():
-            values = np.array([math.inf if math.isnan(run[field]) else run[field] for run in group])
-            row |= {name: float(np.median(values)), f"{name}_worst": float(values.max())}
+            row |= {name: median(group, field), f"{name}_worst": worst(group, field)}
         row |= {name: max(run[name] for run in group) for name in ("failures", "departure", "stuck")}
-        rows.append(row | {"held_share": float(np.mean([run["held"] for run in group]))})
+        rows.append(row | {"held_share": share(group, "held")})
     show("learners", rows)
-    report = {
-        "learners": len(runs),
-        **good(runs),
-        "best_good_share": float(np.mean([run["best_good"] for run in runs])),
-    }
+    report = {"learners": len(runs), **good(runs), "best_good_share": share(runs, "best_good")}
     for name in _WORST:
         report[name] = max(row[name] for row in rows)
         report[f"{name}_worst"] = max(row[f"{name}_worst"] for row in rows)

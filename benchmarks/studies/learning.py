@@ -8,20 +8,26 @@ last one, not the best.
 
     python -m benchmarks study learning --setting default --seeds 10 --conditions hard [--quick] [--json]
 
-With --fleet N: N cars drawn from the fleet, each on a course of its own; with --cars KIND: cars with steering delays,
-at low or at high speed, CommonRoad's multi-body car (`benchmarks.run.fleet`). With --backend
-dask --address tcp://HOST:PORT the workers of a cluster do it; the figures are the same.
+Does it learn any car there is? With --fleet N: N cars drawn from the fleet, each on a course of its own; with --cars
+KIND: cars with steering delays, at low or at high speed, CommonRoad's multi-body car (`benchmarks.run.fleet`). The
+learner knows nothing of its car. Analytic controllers drive the same test once with the true parameters
+(`Knowledge.oracle`, delay and lag) and once with the data sheet (mass, tyres, ratio; nothing of the steering's delay,
+lag and offset). Play and sensor noise are unknown to all. A ratio is that of the learner's final net to the analytic
+controller of the least RMS e.
+
+With --backend dask --address tcp://HOST:PORT the workers of a cluster do it; the figures are the same.
 """
 
 import argparse
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmarks.run import spread
-from benchmarks.run.fleet import KINDS, fleet, of_fleet, of_kind
-from benchmarks.run.trials import drive_each, train
+from benchmarks.run import kept, spread
+from benchmarks.run.fleet import KINDS, of_fleet, of_kind
+from benchmarks.run.learners import OTHER, Learned, Learner, best_of, best_told, good, median, over, share, worst
 from benchmarks.tables import show, show_figures
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
@@ -29,66 +35,71 @@ from steerkit.scenario import Scenario
 
 LAST = 20
 """So many of a run's last nets: how many of them hold a round?"""
+ORACLE = ("stanley-delay", "lqr", "mpc")
+"""Analytic controllers that take a believed delay."""
+TOLD_DATA_SHEET = ("stanley", "lqr", "mpc")
+"""Those that a data sheet is enough for."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What one seed came to; times in seconds of driving, None where it did not happen."""
+@dataclass(frozen=True, kw_only=True)
+class Seed(Learned):
+    """What one seed came to; good: every net is judged."""
 
-    seed: int
-    first_round_done: float | None
-    good: float | None
-    failures: int
-    transitions: int
-    nets: int
     last_nets_hold: float
-    final_holds: bool
-    final_rms_e: float
-    final_max_e: float
-    final_wheel_rate_deg: float
+    """Share of the last `LAST` nets."""
     longest_training: float
+    """Computing time [s]."""
 
 
-def one_seed(experiment: Experiment) -> Outcome:
-    """Run one seed, then test-drive its nets: the first GOOD one, the last ones, the final one."""
-    trained = train(experiment)
-    run, nets = trained.run, trained.nets
-    policies = [net.policy for net in nets]
-    drives = drive_each(experiment.scenario, experiment.setting, policies, seed=experiment.seed + 1000)
-    first = next((i for i, drive in enumerate(drives) if drive.good), None)
-    final = drives[-1] if drives else None
-    summary = final.summary if final else None
-    nan = float("nan")
-    return Outcome(
-        seed=experiment.seed,
-        first_round_done=run.counts.first_round_done,
-        good=None if first is None else nets[first].t,
-        failures=run.counts.failures,
-        transitions=len(run.transitions),
-        nets=len(trained.nets),
-        last_nets_hold=float(np.mean([d.held for d in drives[-LAST:]])) if nets else 0.0,
-        final_holds=final is not None and final.held,
-        final_rms_e=summary.rms_e if summary else nan,
-        final_max_e=summary.max_e if summary else nan,
-        final_wheel_rate_deg=summary.rms_wheel_rate_deg if summary else nan,
-        longest_training=trained.longest_training,
+@dataclass(frozen=True, kw_only=True)
+class Car(Learned):
+    """What one car came to, beside the best analytic controllers."""
+
+    name: str
+    best: str
+    rms_x_oracle: float
+    wheel_x_oracle: float
+    jerk_x_oracle: float
+    best_on_data_sheet: str
+    rms_x_data_sheet: float
+
+
+def one_seed(experiment: Experiment) -> Seed:
+    """Run one seed, then test-drive its nets: until the first GOOD one, the last ones, the final one."""
+    learner = Learner(experiment)
+    last = [learner.drive(net).held for net in learner.trained.nets[-LAST:]]
+    return Seed(
+        **learner.figures(every=1),
+        last_nets_hold=float(np.mean(last)) if last else 0.0,
+        longest_training=learner.trained.longest_training,
     )
 
 
-def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
+def one_car(experiment: Experiment) -> Car:
+    """Let a car learn, and compare its final net."""
+    learner, scenario, test = Learner(experiment), experiment.scenario, experiment.seed + OTHER
+    best, truth = best_told(scenario, ORACLE, test)
+    on_sheet, sheet = best_of(scenario.with_(knowledge={"delay": 0.0, "lag": 0.0}), TOLD_DATA_SHEET, test)
+    return Car(
+        name=scenario.name,
+        **learner.figures(),
+        best=best,
+        rms_x_oracle=over(learner.final, "rms_e", truth),
+        wheel_x_oracle=over(learner.final, "rms_wheel_rate_deg", truth),
+        jerk_x_oracle=over(learner.final, "rms_jerk", truth),
+        best_on_data_sheet=on_sheet,
+        rms_x_data_sheet=over(learner.final, "rms_e", sheet),
+    )
+
+
+def of_seeds(rows: Sequence[kept.Row]) -> dict[str, Any]:
     """Shares, medians and worst cases over the seeds; a seed that never got there counts as infinite."""
-
-    def spread(name: str) -> dict[str, float | None]:
-        values = [np.inf if v is None else float(v) for v in (getattr(o, name) for o in outcomes)]
-        finite = {"median": float(np.median(values)), "worst": float(np.max(values))}
-        return {f"{name}_{k}": v if np.isfinite(v) else None for k, v in finite.items()}
-
-    result: dict[str, Any] = {
-        "seeds": len(outcomes),
-        "round_share": float(np.mean([o.first_round_done is not None for o in outcomes])),
-        "good_share": float(np.mean([o.good is not None for o in outcomes])),
-        "final_holds_share": float(np.mean([o.final_holds for o in outcomes])),
-        "last_nets_hold_share": float(np.mean([o.last_nets_hold for o in outcomes])),
+    figures: dict[str, Any] = {
+        "seeds": len(rows),
+        "round_share": share(rows, "first_round_done"),
+        "good_share": share(rows, "good"),
+        "final_holds_share": share(rows, "held"),
+        "last_nets_hold_share": float(np.mean([row["last_nets_hold"] for row in rows])),
     }
     for name in (
         "first_round_done",
@@ -99,8 +110,24 @@ def summarise(outcomes: list[Outcome]) -> dict[str, Any]:
         "final_wheel_rate_deg",
         "longest_training",
     ):
-        result |= spread(name)
-    return result
+        figures |= {f"{name}_median": median(rows, name), f"{name}_worst": worst(rows, name)}
+    return figures
+
+
+def of_cars(rows: Sequence[kept.Row]) -> dict[str, Any]:
+    """Shares, medians and worst cases over cars; one that never got there counts as infinite."""
+    ratios = ("rms_x_oracle", "wheel_x_oracle", "jerk_x_oracle", "rms_x_data_sheet")
+    return {
+        "cars": len(rows),
+        **good(rows),
+        "failures_worst": max(row["failures"] for row in rows),
+        "departure_median_m": median(rows, "departure"),
+        "departure_worst_m": worst(rows, "departure"),
+        "held_share": share(rows, "held"),
+        **{name: median(rows, name) for name in ratios},
+        "worst_rms_x_oracle": worst(rows, "rms_x_oracle"),
+        "stuck": sum(row["stuck"] for row in rows),
+    }
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -126,30 +153,32 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Run the seeds, print the tables."""
-    where = spread.where(options)
-    count = (1 if options.quick else 10) if options.seeds is None else options.seeds
-    minutes = (0.25 if options.quick else 11.0) if options.minutes is None else options.minutes
-    if options.fleet or options.cars:
-        how = changed(setting(options.setting), options.changes)
-        seeds = range(options.first_seed, options.first_seed + (1 if options.seeds is None else options.seeds))
-        five = minutes if options.minutes is not None or options.quick else 5.0
-        rounds = 0.05 if options.quick else 1.0
-        cars = of_kind(options.cars, course={"rounds": rounds}) if options.cars else of_fleet(options.fleet, rounds)
-        return fleet(cars[:1] if options.quick else cars, seeds, how, five, where)
-    scenario = Scenario.under(options.conditions, course=options.course)
-    chosen = changed(setting(options.setting), options.changes)
-    base = Experiment(setting=chosen, scenario=scenario, minutes=minutes)
-    jobs = [replace(base, seed=options.first_seed + n) for n in range(count)]
+    where, quick = spread.where(options), options.quick
+    how = changed(setting(options.setting), options.changes)
+    fleet = options.fleet or options.cars
+    usual_seeds, usual_minutes = (1, 5.0) if fleet else (10, 11.0)
+    if quick:
+        usual_seeds, usual_minutes = 1, 0.25
+    count = usual_seeds if options.seeds is None else options.seeds
+    minutes = usual_minutes if options.minutes is None else options.minutes
+    rounds = 0.05 if quick else 1.0
+    if options.cars:
+        cars = of_kind(options.cars, course={"rounds": rounds})
+    elif options.fleet:
+        cars = of_fleet(options.fleet, rounds)
+    else:
+        cars = (Scenario.under(options.conditions, course=options.course),)
+    jobs = [
+        Experiment(setting=how, scenario=car, minutes=minutes, seed=seed)
+        for car in (cars[:1] if quick else cars)
+        for seed in range(options.first_seed, options.first_seed + count)
+    ]
     with spread.computing(where) as those:
-        outcomes = those.in_order(one_seed, jobs, options.setting)
-    show(f"{' '.join((options.setting, *options.changes))} on {options.course}, {options.conditions}", outcomes)
-    result = {
-        "setting": options.setting,
-        "changes": options.changes,
-        "course": options.course,
-        "conditions": options.conditions,
-        "minutes": minutes,
-        **summarise(outcomes),
-    }
-    show_figures(result)
-    return {**result, "outcomes": [asdict(o) for o in outcomes]}
+        rows = list(kept.done(one_car if fleet else one_seed, jobs, those, None).values())
+    show(f"{' '.join((options.setting, *options.changes))}, {minutes:g} minutes", rows)
+    if fleet:
+        return of_cars(rows) | {"outcomes": rows}
+    asked = {name: getattr(options, name) for name in ("setting", "changes", "course", "conditions")}
+    figures = {**asked, "minutes": minutes, **of_seeds(rows)}
+    show_figures(figures)
+    return figures | {"outcomes": rows}

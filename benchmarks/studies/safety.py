@@ -42,7 +42,7 @@ import numpy as np
 from benchmarks.foreign_cars import WIDE
 from benchmarks.run import kept, spread
 from benchmarks.run.fleet import of_fleet, of_kind
-from benchmarks.run.safe_learning import Job, one_run, summarise
+from benchmarks.run.safe_learning import one_run, summarise
 from benchmarks.studies.car_realtime import drive
 from benchmarks.tables import as_line, say, show, show_figures
 from steerkit._support.native import compiler
@@ -52,6 +52,8 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, Wrapper
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.export.c import export_c
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.settings import DEFAULT
 from steerkit.metrics.signals import largest
 from steerkit.scenario import Scenario, straightest
 from steerkit.scenario.catalogue import make_safety
@@ -291,8 +293,9 @@ def learners(options: argparse.Namespace, those: spread.Workers) -> dict[str, An
     if not quick:
         cars += [*of_kind("multi-body"), *of_fleet(options.fleet)]
     seeds = range(options.first_seed, options.first_seed + (1 if quick else options.seeds))
+    minutes = 0.07 if quick else options.minutes
     jobs = [
-        Job(scenario=car, seed=seed, minutes=0.07 if quick else options.minutes, safe=safe)
+        Experiment(setting=replace(DEFAULT, safe=safe), scenario=car, seed=seed, minutes=minutes)
         for seed in seeds
         for safe in ((True, False) if seed - options.first_seed < options.compare else (True,))
         for car in cars

@@ -1,17 +1,14 @@
 """Test drives of many policies at once give the numbers of one drive after the other."""
 
-import math
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.run import trials
-from benchmarks.run.trials import TrialDrive, drive_each, first_good, over, train
+from benchmarks.run.trials import TrialDrive, drive_each, train
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
 from steerkit.learning.nfq import iterate as nfq
@@ -75,25 +72,6 @@ def test_good_is_held_and_within_all_bounds() -> None:
     assert not TrialDrive(rounds=1.0, held=False, summary=summary).good
     assert not TrialDrive(rounds=1.0, held=True, summary=None).good
     assert not TrialDrive(rounds=1.0, held=True, summary=replace(summary, rms_e=0.11)).good
-
-
-def test_a_ratio_of_a_drive_that_was_not_held_is_infinite() -> None:
-    summary = of_log(evaluate.drive(Scenario(course="circle"), Stanley.of(Scenario().nominal), rounds=1.0))
-    half = replace(summary, rms_e=0.5 * summary.rms_e)
-    assert over(TrialDrive(rounds=1.0, held=True, summary=half), "rms_e", summary) == pytest.approx(0.5)
-    assert over(TrialDrive(rounds=1.0, held=False, summary=half), "rms_e", summary) == math.inf
-    assert over(None, "rms_e", summary) == math.inf
-
-
-def test_the_first_good_net_counts_from_when_it_took_the_wheel() -> None:
-    nets: Any = [SimpleNamespace(t=float(t), policy=t) for t in range(20)]
-
-    def judged(good: set[int]) -> Any:
-        return lambda net: SimpleNamespace(good=net.policy in good)
-
-    assert first_good(nets, judged({7, 3})) == 3.0
-    assert first_good(nets, judged({13, 16})) == 16.0  # after the first dozen every fourth is judged
-    assert first_good(nets, judged(set())) is None
 
 
 def test_every_net_that_took_the_wheel_is_kept_in_its_order() -> None:

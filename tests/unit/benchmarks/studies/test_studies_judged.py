@@ -6,27 +6,56 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.run.fleet import of_fleet
 from benchmarks.studies import foreign, learning, throughput
+from steerkit.learning.experiment import Experiment
+from steerkit.learning.settings import setting
 from steerkit.task import DT
 
 NAN = math.nan
 
 
-def outcome(**changes: Any) -> learning.Outcome:
-    fields = dict.fromkeys(learning.Outcome.__dataclass_fields__, 0.0)
-    return learning.Outcome(**{**fields, **changes})  # type: ignore[arg-type]
+def seed(**changes: Any) -> dict[str, Any]:
+    return {**dict.fromkeys(learning.Seed.__dataclass_fields__, 0.0), **changes}
 
 
 def test_a_seed_that_never_learned_counts_as_infinite() -> None:
     seeds = [
-        outcome(first_round_done=100.0, good=200.0),
-        outcome(first_round_done=900.0, good=None),
-        outcome(first_round_done=None, good=None),
+        seed(first_round_done=100.0, good=200.0),
+        seed(first_round_done=900.0, good=None),
+        seed(first_round_done=None, good=None),
     ]
-    figures = learning.summarise(seeds)
-    assert (figures["first_round_done_median"], figures["first_round_done_worst"]) == (900.0, None)
-    assert (figures["good_median"], figures["good_worst"]) == (None, None)
+    figures = learning.of_seeds(seeds)
+    assert (figures["first_round_done_median"], figures["first_round_done_worst"]) == (900.0, math.inf)
+    assert (figures["good_median"], figures["good_worst"]) == (math.inf, math.inf)
     assert (figures["round_share"], figures["good_share"]) == pytest.approx((2 / 3, 1 / 3))
+
+
+def test_medians_and_worst_cases_count_a_car_that_never_got_there_as_infinite() -> None:
+    beside = dict(rms_x_oracle=0.9, wheel_x_oracle=1.0, jerk_x_oracle=1.1, rms_x_data_sheet=0.3)
+    fine: dict[str, Any] = dict(good=10.0, failures=1, departure=2.0, stuck=0, held=True, **beside)
+    slow = fine | dict(good=30.0, rms_x_oracle=1.2, failures=3)
+    lost = fine | dict(good=None, held=False, rms_x_oracle=math.inf)
+    two = learning.of_cars([fine, slow])
+    assert (two["good_share"], two["good_median_s"], two["good_worst_s"]) == (1.0, 20.0, 30.0)
+    assert (two["rms_x_oracle"], two["worst_rms_x_oracle"]) == pytest.approx((1.05, 1.2))
+    three = learning.of_cars([fine, slow, lost])
+    assert (three["good_share"], three["held_share"]) == pytest.approx((2 / 3, 2 / 3))
+    assert (three["good_worst_s"], three["worst_rms_x_oracle"]) == (math.inf, math.inf)
+    assert (three["rms_x_oracle"], three["failures_worst"]) == (1.2, 3)
+    far = learning.of_cars([fine, fine | dict(departure=7.0)])
+    assert (far["departure_median_m"], far["departure_worst_m"]) == (4.5, 7.0)
+
+
+def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learning, "ORACLE", ("stanley-delay",))
+    monkeypatch.setattr(learning, "TOLD_DATA_SHEET", ("stanley",))
+    (*_, car) = of_fleet(4, rounds=0.1)
+    made = learning.one_car(Experiment(setting=setting("model-free"), scenario=car, minutes=0.05))
+    assert (made.name, made.best, made.best_on_data_sheet) == ("fleet-3", "stanley-delay", "stanley")
+    assert made.good is None
+    assert made.departure > 0.5  # it has failed, and nobody hides by how much
+    assert not made.held
 
 
 @pytest.mark.filterwarnings("ignore:Unused output")

@@ -1,0 +1,65 @@
+"""A learner of a study: when it was good, over whom, and how rows are summed up."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from benchmarks.foreign_cars import HOME, scene, told
+from benchmarks.run.learners import Learner, best_told, first_good, good, median, over, share, values, worst
+from benchmarks.run.trials import TrialDrive, drive_each
+from steerkit.controllers.stanley import Stanley
+from steerkit.metrics import Criterion, of_log
+from steerkit.scenario import Scenario
+from steerkit.scenario import drive as evaluate
+from tests.support.short_run import SHORT
+
+
+def test_nets_are_driven_with_another_seed_and_judged_by_the_criterion() -> None:
+    learner = Learner(replace(SHORT, minutes=0.3), Criterion(rms_e=0.0))
+    net, experiment = learner.trained.nets[-1], learner.experiment
+    (alone,) = drive_each(experiment.scenario, experiment.setting, [net.policy], seed=experiment.seed + 1000)
+    assert learner.final is learner.drive(net)
+    assert (learner.final.summary, learner.final.held) == (alone.summary, alone.held)
+    assert not learner.final.good, "no RMS e is below 0"
+    figures = learner.figures()
+    assert (figures["good"], figures["nets"]) == (None, len(learner.trained.nets))
+    assert (figures["held"], figures["final_rms_e"]) == (alone.held, alone.summary.rms_e if alone.summary else None)
+
+
+def test_a_ratio_of_a_drive_that_was_not_held_is_infinite() -> None:
+    summary = of_log(evaluate.drive(Scenario(course="circle"), Stanley.of(Scenario().nominal), rounds=1.0))
+    half = replace(summary, rms_e=0.5 * summary.rms_e)
+    assert over(TrialDrive(rounds=1.0, held=True, summary=half), "rms_e", summary) == pytest.approx(0.5)
+    assert over(TrialDrive(rounds=1.0, held=False, summary=half), "rms_e", summary) == math.inf
+    assert over(None, "rms_e", summary) == math.inf
+
+
+def test_the_first_good_net_counts_from_when_it_took_the_wheel() -> None:
+    nets: Any = [SimpleNamespace(t=float(t), policy=t) for t in range(20)]
+
+    def judged(good: set[int]) -> Any:
+        return lambda net: SimpleNamespace(good=net.policy in good)
+
+    assert first_good(nets, judged({7, 3})) == 3.0
+    assert first_good(nets, judged({13, 16})) == 16.0  # after the first dozen every fourth is judged
+    assert first_good(nets, judged(set())) is None
+
+
+def test_the_best_that_is_told_is_told_the_truth() -> None:
+    untold = told(scene(HOME, 7.0, 7.0, 0), 0.0)
+    assert (untold.believed_dead_time, told(untold, 1.5).believed_dead_time) == (0.0, pytest.approx(0.3))
+    name, best = best_told(untold, ("lqr", "stanley"), seed=3)
+    truth = untold.with_(knowledge={"delay": None})
+    assert name == "lqr", "Stanley makes no use of a dead time"
+    assert best == of_log(evaluate.drive(truth, evaluate.controller("lqr", truth), seed=3))
+
+
+def test_what_never_happened_counts_as_infinite() -> None:
+    rows: list[Any] = [{"good": 10.0, "x": 1.0}, {"good": 30.0, "x": math.nan}, {"good": None, "x": 2.0}]
+    assert values(rows, "x").tolist() == [1.0, math.inf, 2.0]
+    assert (median(rows, "good"), worst(rows, "good"), share(rows, "good")) == (30.0, math.inf, pytest.approx(2 / 3))
+    assert good(rows[:2]) == {"good_share": 1.0, "good_median_s": 20.0, "good_worst_s": 30.0}
+    assert share([{"held": True}, {"held": False}], "held") == 0.5
