@@ -480,7 +480,9 @@ class Reading:
         name, closed = (self.entry("course", table, key, kind) for key, kind in (("file", str), ("closed", bool)))
         where = f"[course] file = {name!r}: "
         text = self.made(where, self.text, name, partial(read_text, where="course", latin=True))
-        return self.made(where, partial(Path.from_csv, closed=closed, text=text), name)
+        from steerkit.paths.importers import course_of  # whose readers of maps most cars do without
+
+        return self.made(where, partial(course_of, text, closed=closed), name)
 
     def limits(self, car: Vehicle, writer: CommandWriter) -> tuple[GateLimits, StateLimits, MotionLimits]:
         table = self.table("limits", LIMITS)

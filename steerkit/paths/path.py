@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from steerkit._support.files import read_text, write_text
+from steerkit._support.files import write_text
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Array, Scalar, Table
-from steerkit.paths.waypoints import check_metres, checked, placed, read_columns, ring, travelled
+from steerkit.paths.waypoints import checked, placed, ring, travelled
 
 _DEGREE = 5  # curvature and its first two derivatives are continuous
 _FEWEST_SEGMENTS = 12  # a periodic quintic needs some
@@ -31,7 +31,7 @@ class Path:
 
         psi = atan2(y', x') [rad],  kappa = x' y'' - y' x'' [1/m], + = left.
 
-    Make one by `from_waypoints`, `from_csv` or `from_gps`, not by the constructor.
+    Make one by `from_waypoints`, `from_gps` or `steerkit.paths.importers.read_course`, not by the constructor.
 
     table: n rows of a_0..a_5 of x, then of y. length [m]. closed: s wraps at `length`; an open path ends at 0 and at
     `length`. name: for messages and plots. Source: de Boor 1978, ch. IX and XIII (spline interpolation by knots).
@@ -112,48 +112,8 @@ class Path:
         positions that are out of range, swapped or in radians.
         """
         columns = {"lat": np.asarray(lat_deg, dtype=float), "lon": np.asarray(lon_deg, dtype=float)}
-        return cls.of_columns(columns, f"Path '{name}'", closed=closed, smoothing=smoothing, spacing=spacing, name=name)
-
-    @classmethod
-    def from_csv(
-        cls,
-        file: str | File,
-        *,
-        closed: bool,
-        smoothing: float | None = None,
-        spacing: float = 1.0,
-        name: str = "",
-        text: str | None = None,
-    ) -> Self:
-        """The path in a CSV file whose header names x and y [m], or lat and lon [degrees]; `#` starts a comment.
-
-        smoothing [m]: by default 0 for x, y and 0.1 for lat, lon. name: by default the file's. text: of the
-        file, where known. Raises ValueError as `from_waypoints`, for a missing column, and a cell that is no number.
-        """
-        text, called = read_text(file, "Path.from_csv", latin=True) if text is None else text, name or File(file).stem
-        columns = read_columns(text, f"{file}")
-        return cls.of_columns(columns, f"{file}", closed=closed, smoothing=smoothing, spacing=spacing, name=called)
-
-    @classmethod
-    def of_columns(
-        cls,
-        columns: Mapping[str, Array],
-        where: str,
-        *,
-        closed: bool,
-        smoothing: float | None = None,
-        spacing: float = 1.0,
-        name: str,
-    ) -> Self:
-        """The path along columns x, y [m] or lat, lon [degrees] (n,), as `read_columns` gives them of the file `where`.
-
-        The rest as `from_csv`, whose errors it raises.
-        """
-        xy, origin = placed(columns, where)
-        if origin is None:
-            check_metres(checked(xy, where), where)
-        wide = smoothing if smoothing is not None else 0.0 if origin is None else 0.1
-        path = cls.from_waypoints(xy, closed=closed, smoothing=wide, spacing=spacing, name=name)
+        xy, origin = placed(columns, f"Path '{name}'")
+        path = cls.from_waypoints(xy, closed=closed, smoothing=smoothing, spacing=spacing, name=name)
         return dataclasses.replace(path, origin_deg=origin)
 
     def reversed(self) -> "Path":
@@ -221,7 +181,7 @@ class Path:
         kappa: Array
 
     def to_csv(self, file: str | File) -> None:
-        """Write s, x, y, psi, kappa at the knots; `from_csv` reads them back to the same curve (closed as before)."""
+        """Write s, x, y, psi, kappa at the knots; `read_course` reads the curve back, with a knot a metre."""
         write_text(file, self.csv_text())
 
     def csv_text(self, more: Mapping[str, Array] | None = None, units: str = "", comments: Sequence[str] = ()) -> str:

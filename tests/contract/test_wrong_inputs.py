@@ -20,6 +20,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.gym import Task, TrackSteering, TrackSteeringVector, from_stable_baselines
+from steerkit.paths.importers import course_of, read_course
 from steerkit.plants.speed_driver import ConstantSpeed
 from steerkit.scenario import Scenario
 from tests.support.command_lines import run
@@ -44,6 +45,7 @@ NAMES: dict[str, Any] = {
     "ConstantSpeed": ConstantSpeed,
     "Scenario": Scenario,
     **{one.__name__: one for one in (Task, TrackSteering, TrackSteeringVector, from_stable_baselines)},
+    **{one.__name__: one for one in (course_of, read_course)},
     "dataclass": dataclass,
     "math": math,
     "m": m,

@@ -13,7 +13,16 @@ from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.diagram.maths import Array
 from steerkit.paths.path import Path
-from steerkit.paths.waypoints import check_stated, distances, placed, read_columns, stated, travelled
+from steerkit.paths.waypoints import (
+    check_metres,
+    check_stated,
+    checked,
+    distances,
+    placed,
+    read_columns,
+    stated,
+    travelled,
+)
 
 TIGHTEST = 4.1
 """Tightest radius that is driven [m], unless a car is named: the shipped Passat's, its wheel at the stop."""
@@ -89,8 +98,9 @@ class Course:
 
 
 def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
-    """The course in the text of a CSV file (see `Path.from_csv`), called `name`.
+    """The course in the text of a CSV file whose header names x and y [m], or lat and lon [degrees], called `name`.
 
+    `#` starts a comment. The path leads through points x, y, and near lat, lon, by 0.1 m RMS.
     closed: None means as the file says, if `Path.to_csv` wrote it; else closed if its ends are no farther apart than
     5 m or three of its steps. Raises ValueError for a broken file, naming it, and for one that is cut short.
     """
@@ -100,16 +110,19 @@ def course_of(text: str, name: str, *, closed: bool | None = None) -> Path:
 def path_in(text: str, columns: Mapping[str, Array], name: str, closed: bool | None) -> Path:
     """The same, of a text whose columns have been read."""
     said = stated(text)
+    xy, origin = placed(columns, name)
     if closed is None and not said:
-        xy = placed(columns, name)[0]
         near = max(5.0, 3.0 * float(np.median(distances(xy)))) if len(xy) > 2 else 0.0
         closed = math.dist(xy[0], xy[-1]) <= near
     closed = said[0] if said and closed is None else bool(closed)
-    path = Path.of_columns(columns, name, closed=closed, name=name.removesuffix(".csv"))
+    if origin is None:
+        check_metres(checked(xy, name), name)
+    smoothing = 0.0 if origin is None else 0.1
+    path = Path.from_waypoints(xy, closed=closed, smoothing=smoothing, name=name.removesuffix(".csv"))
     if said and closed == said[0]:
         check_stated(said[1], path.length, 0.05 + 1e-4 * path.length, name)
     place = re.search(r"^# origin (-?[\d.]+), (-?[\d.]+) deg$", text, re.MULTILINE)
-    return replace(path, origin_deg=(float(place[1]), float(place[2]))) if place else path
+    return replace(path, origin_deg=(float(place[1]), float(place[2])) if place else origin)
 
 
 def laid(

@@ -14,8 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steerkit.paths.importers import contents, read_course
-from steerkit.paths.path import Path
+from steerkit.paths.importers import contents, course_of, read_course
 from steerkit.scenario import Scenario
 from tests.support import road_files
 
@@ -169,11 +168,11 @@ def test_a_bad_row_is_left_out_and_named_and_many_refuse(defect: str, key: str, 
             read(f"{file}{key}")
 
 
-def test_a_car_takes_no_course_with_a_bad_row_and_words_that_nothing_reads_are_none(tmp_path: FilePath) -> None:
+def test_a_car_takes_no_course_with_a_bad_row_and_words_that_nothing_reads_are_none() -> None:
     rows = [f"{x},{y},{'' if k else 'a'}" for k, (x, y) in enumerate(XY.tolist())]
     with pytest.raises(ValueError, match="line 3 is 'x,1,a', expected 3 numbers"):
-        Path.from_csv(tmp_path / "a.csv", closed=False, text="\n".join(["x,y,note", rows[0], "x,1,a", *rows[1:]]))
-    assert Path.from_csv(tmp_path / "a.csv", closed=False, text="\n".join(["x,y,note", *rows])).length > 290.0
+        course_of("\n".join(["x,y,note", rows[0], "x,1,a", *rows[1:]]), "a.csv", closed=False)
+    assert course_of("\n".join(["x,y,note", *rows]), "a.csv", closed=False).length > 290.0
 
 
 BROKEN: dict[str, Any] = {
