@@ -1,4 +1,4 @@
-"""Pictures that explain a learning run: what it values, what it would do, how it came about, where it failed.
+"""Pictures that explain a learning run: what it values, what it would do, where it failed.
 
 Each function takes a `Record` (or a policy) and returns a matplotlib figure; `draw_all` draws the set of a run
 directory. How to read them: docs/learning.md.
@@ -27,10 +27,10 @@ from steerkit.learning.nfq.iterate import patterns
 from steerkit.learning.nfq.rprop import forward
 from steerkit.paths.path import Path
 from steerkit.plots.animation import animate, film_writer
-from steerkit.plots.drive import round_driven, shade_recovery
+from steerkit.plots.drive import round_driven
 from steerkit.plots.style import COLOURS, new_figure, styled
 from steerkit.scenario import Scenario
-from steerkit.task import GOAL, TRIP
+from steerkit.task import TRIP
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -170,10 +170,6 @@ def beside_the_data(record: Transitions, log: Log, apart: Distance, *, title: st
     return figure
 
 
-WINDOW = 5.0
-"""Time over which RMS e is taken in a learning curve [s]."""
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Record:
     """What a run directory holds of a run."""
@@ -218,49 +214,6 @@ class Record:
         times = [episode.ended for episode in self.episodes if episode.failed]
         return np.minimum(np.searchsorted(self.log.t, np.array(times, dtype=float) - 1e-6), len(self.log.t) - 1)
 
-    def rms(self, window: float = WINDOW) -> Array:
-        """RMS of e over the last `window` [s] at each sample, of the learner's samples only; NaN without any."""
-        n = max(1, round(window / float(np.median(np.diff(self.log.t)))) if len(self.log.t) > 1 else 1)
-        learns = self.learning
-        squares, counts = (
-            np.convolve(values, np.ones(n))[: len(learns)]
-            for values in (np.where(learns, self.log["path.e"] ** 2, 0.0), learns)
-        )
-        return np.sqrt(np.divide(squares, counts, out=np.full(len(counts), np.nan), where=learns))
-
-
-# ---- how it came about --------------------------------------------------------------------------------------------
-
-
-@styled
-def learning_curve(record: Record) -> "Figure":
-    """How long the learner steered, RMS e over the last seconds, and failures; shaded: recovery steers."""
-    figure, (held, error, count) = new_figure(3, title=f"{record.name}: learning curve", width=10.5)
-    colour, mark, end = COLOURS["learned"], COLOURS["limit"], float(record.log.t[-1])
-    for axis in (held, error, count):
-        shade_recovery(axis, record.log.t, record.learning)
-    for episode in record.episodes:
-        t = np.geomspace(0.1, max(0.1, record.ended(episode) - episode.began), 60)
-        held.plot(episode.began + t, t, color=colour, lw=1.2)
-        if episode.failed:
-            held.plot(episode.began + t[-1], t[-1], "x", color=mark, ms=5, mew=1.1)
-    held.set(yscale="log", ylabel="learner steers for [s]")
-    held.set_yticks((0.1, 1.0, 10.0, 100.0), ("0.1", "1", "10", "100"))
-    error.plot(record.log.t, record.rms(), color=colour, lw=1.2)
-    error.axhline(GOAL, color=COLOURS["goal"], lw=1.2, zorder=1)
-    error.set(yscale="log", ylim=(1e-3, 1.0), ylabel=f"RMS e over {WINDOW:.0f} s [m]")
-    error.set_yticks((0.001, 0.01, 0.1, 1.0), ("0.001", "0.01", "0.1", "1"))
-    times = [0.0, *(record.ended(episode) for episode in record.episodes if episode.failed), end]
-    counts = [*range(len(times) - 1), len(times) - 2]
-    count.plot(times, counts, color=colour, lw=1.4, drawstyle="steps-post")
-    count.annotate(f"{counts[-1]} ", (times[-1], counts[-1]), color=colour, fontsize=8, va="bottom", ha="right")
-    held.plot([], [], "x", color=mark, ms=5, label="failure")
-    held.legend(loc="lower right", ncols=2)
-    count.set(xlabel="driving time [s]", ylabel="failures so far", ylim=(0.0, 1.15 * max(1, counts[-1])))
-    count.set_xlim(0.0, end)
-    count.locator_params(axis="y", integer=True)
-    return figure
-
 
 def replay(record: Record, number: int) -> "Figure":
     """Episode `number` (from 1): on the map, e, wheel and lateral acceleration.
@@ -289,8 +242,7 @@ def draw_all(place: str | FilePath, out: str | FilePath | None = None) -> list[F
     scenario, speeds = record.experiment.scenario, record.transitions.s[:, V]
     v = float(np.median(speeds)) if len(speeds) else 6.0
     figures: dict[str, Callable[[], Figure]] = {
-        "policy-map": lambda: policy_map(record.policy, scenario, visited=record.transitions, v=v, title=record.name),
-        "learning-curve": lambda: learning_curve(record),
+        "policy-map": lambda: policy_map(record.policy, scenario, visited=record.transitions, v=v, title=record.name)
     }
     lengths = [record.ended(episode) - episode.began for episode in record.episodes]
     failed = [k for k, episode in enumerate(record.episodes, start=1) if episode.failed]

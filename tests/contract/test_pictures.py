@@ -122,7 +122,6 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "scene": lambda: seen(animation.Scene(*SCENE), animation.Scene.show, 9.0, 2.0).figure,
     "frame": lambda: painted().figure,
     "map": lambda: pictures.policy_map(NFQ, SCENARIO, visited=SEEN),
-    "curve": lambda: pictures.learning_curve(RECORD),
     "log's channels": told,
     "resimulated": lambda: compared(AGAIN),
     "identified": lambda: FOUND.plot(PREDICTED),

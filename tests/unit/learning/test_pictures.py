@@ -1,6 +1,5 @@
 """The diagnostics show what the run and the policy really are: pictures are read back and compared."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,14 +34,6 @@ def test_a_record_is_what_the_run_was(record: Record, kept: Path) -> None:
         Record.read(kept.parent)
 
 
-def test_rms_is_of_the_learner_over_the_window(record: Record) -> None:
-    rms, e, learns = record.rms(1.0), record.log["path.e"], record.learning
-    for k in np.flatnonzero(learns)[::37]:
-        window = slice(max(0, k - 19), k + 1)
-        assert rms[k] == pytest.approx(math.sqrt(np.mean(e[window][learns[window]] ** 2)))
-    assert np.isnan(rms[~learns]).all()
-
-
 def test_a_replay_shows_its_episode(record: Record) -> None:
     number = next(k for k, e in enumerate(record.episodes, start=1) if e.failed and e.began > 5.0)
     episode = record.episodes[number - 1]
@@ -61,13 +52,13 @@ def test_a_replay_shows_its_episode(record: Record) -> None:
 
 @pytest.mark.usefixtures("undrawn")
 def test_all_pictures_of_a_run_are_drawn(kept: Path, tmp_path: Path) -> None:
-    always = ["policy-map", "learning-curve"]
     learn(Experiment(setting=FAST, minutes=0.005), tmp_path / "new")
-    assert [file.stem for file in draw_all(tmp_path / "new")][:2] == always  # it has just begun
+    assert draw_all(tmp_path / "new")[0].stem == "policy-map"  # it has just begun
     files = draw_all(kept, tmp_path / "out")
     names = [file.stem for file in files]
-    assert names[:2] == always
-    assert any(name.startswith("episode-") for name in names)
+    assert names[0] == "policy-map"
+    assert all(name.startswith("episode-") for name in names[1:])
+    assert 2 <= len(names) <= 3
     assert all(file.read_bytes()[:4] == b"\x89PNG" for file in files)
 
 
