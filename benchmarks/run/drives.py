@@ -103,16 +103,10 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
     distance it drove: until a learned one was first caught, or |e| was beyond 3 m. rms_e_front, max_e_front [m]: e of
     the front axle, wherever the controller has its own measured.
     """
-    length, e, progress = scenario.length, log["path.e"], log["path.progress"]
-    off = ~(np.abs(e) <= OFF_COURSE)
-    if "supervisor.learning" in log:
-        off |= (log["supervisor.learning"] < 0.5) | ~(np.abs(e) <= TRIP)
-    over = progress >= length
-    end = min(_first(off), _first(over) + 1)
+    end, held = own_part(log, scenario.length)
     driven = {ours: log[theirs][:end] for ours, theirs in SIGNALS.items() if theirs in log}
     t = log.t[:end]
-    held = bool(over.any()) and _first(over) < _first(off) and bool((np.abs(driven["e"]) <= TRIP).all())
-    share = float(np.clip(progress[max(0, end - 1)] / length, 0.0, 1.0)) if end else 0.0
+    share = float(np.clip(log["path.progress"][end - 1] / scenario.length, 0.0, 1.0)) if end else 0.0
     metrics = {"held": float(held), "rounds": scenario.course.rounds * share, "duration": float(t[-1]) if end else 0.0}
     if end >= _LEAST:
         metrics |= measures(t=t, **{k: driven[k] for k in ("e", "psi_e", "delta_sw", "a_y")})
@@ -123,27 +117,48 @@ def judged(log: Log, scenario: Scenario, path: Path, loop: Loop) -> tuple[dict[s
     return metrics, {name: kept[name][::step].astype(np.float64) for name in TRAJECTORY}
 
 
+def own_part(log: Log, length: float) -> tuple[int, bool]:
+    """How many samples the controller itself drove, and did it hold all of `length` [m], with |e| <= 0.5 m?"""
+    off, over = _ends(log, length)
+    end = min(_first(off), _first(over) + 1)
+    came = bool(over.any()) and _first(over) < _first(off)
+    return end, came and bool((np.abs(log["path.e"][:end]) <= TRIP).all())
+
+
+def _ends(now: Sample | Log, length: float) -> tuple[Any, Any]:
+    """Where a controller has left the course, or a learned one has lost the car, and where it is at its end."""
+    off = ~(np.abs(now["path.e"]) <= OFF_COURSE)
+    if "supervisor.learning" in now:
+        off = off | (np.asarray(now["supervisor.learning"]) < 0.5) | ~(np.abs(now["path.e"]) <= TRIP)
+    return off, np.asarray(now["path.progress"]) >= length
+
+
+def until_end(
+    loop: Loop, seconds: float, length: float, record: tuple[str, ...], compiled: PolicyDrives | None = None
+) -> Log:
+    """A drive that ends where `own_part` does, or a little later; by `compiled` if there is one, else interpreted."""
+
+    def over(now: Sample | Log) -> bool:
+        return any(np.any(flags) for flags in _ends(now, length))
+
+    if compiled is not None:
+        return compiled.run(loop, seconds, over=over)
+    return simulate(loop, seconds, record=record, every=_every(loop), until=over, allow_nonfinite=True)
+
+
 def _driven(
     scenario: Scenario, form: Scenario, loop: Loop, name: str, policy: Policy | None, extra: tuple[str, ...]
 ) -> Log:
-    seconds, learned = scenario.seconds, policy is not None
     record = tuple(dict.fromkeys([n for n in (*SIGNALS.values(), "path.progress") if n in loop.units] + [*extra]))
-    program = None if learned else _program(form, name, record)
+    program, drives = None, None
+    if policy is None:
+        program = _program(form, name, record)
+    elif isinstance(policy.block, NfqPolicy):
+        drives = _policy_drives(form, policy.setting, policy.block.preview_points, record)
     if program is None:
-        length = scenario.length
-
-        def over(now: Sample | Log) -> bool:
-            caught = learned and np.any(now["supervisor.learning"] < 0.5)
-            gone = np.any(now["path.progress"] >= length) or not np.all(np.abs(now["path.e"]) <= OFF_COURSE)
-            return bool(caught or gone)
-
-        if policy is not None and isinstance(policy.block, NfqPolicy):
-            drives = _policy_drives(form, policy.setting, policy.block.preview_points, record)
-            if drives is not None:
-                return drives.run(loop, seconds, over=over)
-        return simulate(loop, seconds, record=record, every=_every(loop), until=over, allow_nonfinite=True)
+        return until_end(loop, scenario.seconds, scenario.length, record, drives)
     values = {key: parameter(loop, key) for key in program.parameters}
-    return program.run(seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
+    return program.run(scenario.seconds, state=loop.init(), parameters=values, allow_nonfinite=True)
 
 
 @lru_cache(maxsize=16)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.run.drives import own_part, until_end
 from benchmarks.run.policy_drives import PolicyDrives, policy_drives
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log
@@ -15,8 +16,7 @@ from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.settings import Setting
 from steerkit.metrics import GOOD, Criterion, Summary, of_log
 from steerkit.scenario import Scenario
-from steerkit.scenario import drive as evaluate
-from steerkit.task import TRIP
+from steerkit.scenario.drive import drive_loop
 
 
 @dataclass(frozen=True)
@@ -89,44 +89,21 @@ def drive_each(scenario: Scenario, setting: Setting, policies: Sequence[Any], *,
 
 
 def _drive_one(scenario: Scenario, setting: Setting, policy: Any, seed: int, *, compiled: bool = True) -> TrialDrive:
-    doe = setting.element(scenario.nominal)
     drives = _drives(scenario, setting, policy.preview_points) if compiled and isinstance(policy, NfqPolicy) else None
-    if drives is None:
-        log = evaluate.drive(scenario, policy, doe=doe, seed=seed, rounds=1.0, only_while_held=True)
-    else:
-        one_round = scenario.with_(course={"rounds": 1.0})
-        log = drives.run(
-            evaluate.drive_loop(one_round, policy, doe=doe, seed=seed),
-            one_round.seconds,
-            over=lambda part: any(flags.any() for flags in _ends(part, scenario.round_length)),
-        )
-    return _judged(log, scenario.round_length)
-
-
-def _ends(log: Log, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Samples in which the policy has lost the car, and in which its round is over."""
-    lost = (log["supervisor.learning"] < 0.5) | ~(np.abs(log["path.e"]) <= TRIP)
-    return lost, log["path.progress"] >= length
-
-
-def _judged(log: Log, length: float) -> TrialDrive:
-    progress, (lost, over) = log["path.progress"], _ends(log, length)
-    end = min(_first(lost), _first(over) + 1)
+    one_round, length = scenario.with_(course={"rounds": 1.0}), scenario.round_length
+    loop = drive_loop(one_round, policy, doe=setting.element(scenario.nominal), seed=seed)
+    log = until_end(loop, one_round.seconds, length, SIGNALS, drives)
+    end, held = own_part(log, length)
     part = Log(log.t[:end], {name: log[name][:end] for name in SIGNALS}, log.units)
-    driven = float(progress[max(0, end - 1)])
     return TrialDrive(
-        rounds=driven / length,
-        held=bool(over.any()) and _first(over) < _first(lost),
+        rounds=float(log["path.progress"][max(0, end - 1)]) / length,
+        held=held,
         summary=of_log(part) if end > 20 else None,
     )
-
-
-def _first(flags: np.ndarray) -> int:
-    return int(flags.argmax()) if flags.any() else len(flags)
 
 
 @lru_cache(maxsize=8)
 def _drives(scenario: Scenario, setting: Setting, points: int) -> PolicyDrives | None:
     """The compiled drives that all nets with such a preview share; None: interpreted."""
-    loop = evaluate.drive_loop(scenario, NfqPolicy(preview_points=points), doe=setting.element(scenario.nominal))
+    loop = drive_loop(scenario, NfqPolicy(preview_points=points), doe=setting.element(scenario.nominal))
     return policy_drives(loop, SIGNALS)

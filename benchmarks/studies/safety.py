@@ -16,8 +16,6 @@
   `sweeping-N`, N by --first-seed. Of the whole drive, and from 5 s on: nobody has steered the car before.
 * Car: learners with the filter before the gate of the simulated car behind the bus, in three processes at true 20 Hz;
   only with --parts car.
-* Narrowing: a driver who wants to be 0.42 m beside the path, with a doubt of the yaw rate that stays and one that
-  narrows while the model proves right.
 * Cost: time of a sample in the filter's own C, exported and called from Python, where its commands are corrected.
 
     python -m benchmarks study safety [--parts PART ...] [--seeds N] [--compare N] [--jobs N] [--keep FILE] [--json]
@@ -47,9 +45,8 @@ from benchmarks.studies.car_realtime import drive
 from benchmarks.tables import as_line, say, show, show_figures
 from steerkit._support.native import compiler
 from steerkit.controllers.safety_filter import SafetyFilter
-from steerkit.controllers.stanley import Stanley
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, Wrapper
+from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.export.c import export_c
 from steerkit.learning.experiment import Experiment
@@ -104,20 +101,6 @@ class Adversary(Block):
         return self.Y(wish + 0.0 * u.e)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Beside(Wrapper):
-    """A smooth driver whose path is another: Stanley, so far to the left."""
-
-    by: float = 0.42
-    """How far [m]."""
-
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.inner_output(t, x, u)
-
-    def seen(self, u: Any) -> Any:
-        return u._replace(e=u.e - self.by)
-
-
 def adversaries(seconds: float, kinds: tuple[str, ...], speeds: tuple[float, ...]) -> dict[str, Any]:
     """Largest |e| of each adversary at each speed [m], the worse of ratios 10 % off either way."""
     table: dict[str, dict[str, float]] = {}
@@ -134,21 +117,6 @@ def against(driver: Block, scenario: Scenario, seconds: float, late: float, **se
     """A drive with the filter, which assumes that commands may be so late [s]."""
     safety = replace(make_safety(scenario.design_model()), delay_doubt=late, **settings)
     return simulate(assembled(scenario, driver, safety=safety), seconds, every=5)
-
-
-def narrowing(seconds: float, speeds: tuple[float, ...], begin: float = 10.0) -> dict[str, Any]:
-    """Samples corrected of a driver who wants to be 0.42 m beside the path [%], and largest |e|: the yaw rate's doubt
-    as it is, and where it narrows; samples from `begin` on [s]."""
-    rows: dict[str, dict[str, float]] = {}
-    for v in speeds:
-        scenario = Scenario.under("hard", course="paper", driver={"v_min": v, "v_max": v})
-        row = rows.setdefault(f"{v:g} m/s", {})
-        for name, least in (("constant", None), ("narrows", 0.003)):
-            driver = Beside(block=Stanley.of(scenario.nominal), by=0.42)
-            log = against(driver, scenario, seconds, SafetyFilter.delay_doubt, yaw_doubt_least=least)
-            row[f"{name}_pct"] = 100.0 * float(np.mean(log["safety.share"][log.t > begin] > 0.0))
-            row[f"{name}_max_e"] = largest(log["path.e"])
-    return {"narrowing": rows}
 
 
 def beyond(
@@ -218,7 +186,7 @@ def _signal(field: str, names: list[str]) -> str:
     return next(name for name in names if name.replace(".", "_") == field)
 
 
-PARTS = ("adversaries", "narrowing", "beyond", "cost", "learners", "car")
+PARTS = ("adversaries", "beyond", "cost", "learners", "car")
 """What it measures; each can be left out, and the last has to be asked for: it takes real time, and the extra `car`."""
 
 
@@ -247,9 +215,6 @@ def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, A
     if "adversaries" in options.parts:
         report |= adversaries(2.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
         show("adversaries: largest |e| [m]", [{"kind": kind} | row for kind, row in report["adversaries"].items()])
-    if "narrowing" in options.parts:
-        report |= narrowing(2.0, (5.0,), 1.0) if quick else narrowing(40.0, (3.0, 5.0, 8.0))
-        show("0.42 m beside the path", [{"at": speed} | row for speed, row in report["narrowing"].items()])
     if "beyond" in options.parts:
         doubts = (2.0,) if quick else (0.6, 1.0, 2.0, 3.0)
         kinds, speeds = (KINDS[:1], (5.0,)) if quick else (HOSTILE, (3.0, 7.0, 15.0))
