@@ -9,15 +9,11 @@ from typing import Any
 import control
 import numpy as np
 
-from steerkit.diagram.block import Block
+from steerkit.diagram.block import Block, state_like
 from steerkit.diagram.loop import Loop, LoopState
 
 Made = tuple[Any, list[float]]
 """A system of python-control, and its start state."""
-
-
-def _state(x: Any, like: Any) -> Any:
-    return like._make(x) if hasattr(like, "_make") else tuple(x)
 
 
 def diagram(loop: Loop, start: LoopState) -> Made:
@@ -26,7 +22,7 @@ def diagram(loop: Loop, start: LoopState) -> Made:
     for (name, block), x0 in zip(loop.blocks.items(), start.x):
 
         def values(x: Any, u: Any, block: Block = block, x0: Any = x0) -> tuple[Any, Any, Any]:
-            state, all_in = _state(x.tolist(), x0), block.U(*u.tolist())
+            state, all_in = state_like(x0, x.tolist()), block.U(*u.tolist())
             return state, all_in, block.D(*[getattr(all_in, n) for n in block.D._fields])
 
         def output(t: float, x: Any, u: Any, params: Any, block: Block = block, values: Any = values) -> Any:
@@ -68,7 +64,7 @@ def one_function(loop: Loop, start: LoopState) -> Made:
 
     def tick(t: float, x: Any) -> tuple[list[Any], list[Any]]:
         numbers, y = x.tolist(), list(start.y)
-        states = [_state(numbers[a:b], like) for a, b, like in zip(ends, ends[1:], start.x)]
+        states = [state_like(like, numbers[a:b]) for a, b, like in zip(ends, ends[1:], start.x)]
         loop.run_phase(0, t, states, y)
         return states, y
 

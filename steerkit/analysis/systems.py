@@ -11,7 +11,8 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out, State, set_ports, state_like
+from steerkit.diagram.block import Block, In, Out, State, set_ports
+from steerkit.diagram.loop import Layout
 from steerkit.diagram.maths import Array
 
 if TYPE_CHECKING:
@@ -35,21 +36,23 @@ class Period:
         places = {f"u[{n}]": loop.locate(name) for n, name in enumerate(taps)}
         cuts = zip(places.items(), taps.values())
         instead = {(i, j): u if cut else f"y[{i}][{j}] + {u}" for (u, (i, j)), cut in cuts}
-        self._loop, self._phases, self._at = loop, loop.phases(instead), at
+        self._loop, self._phases = loop, loop.phases(instead)
         self._read = [loop.locate(name) for name in outputs]
         self._every = [loop.every[i] for i, _ in self._read]
         self.samples = [loop.period // every for every in self._every]
         """Samples of each output in a period."""
-        self.labels = [f"{name}_{n}" for name, x in zip(loop.names, at.x) for n in getattr(x, "_fields", range(len(x)))]
+        self._layout = Layout(loop, at.x)
+        start, count = self._layout.pack(at.x, at.y), sum(map(len, at.x))
+        self._held = start[count:]
+        self.labels = port_names(self._layout.names[:count])
         """Names of the states."""
-        self.x0 = np.array([value for x in at.x for value in x], dtype=float)
+        self.x0 = np.array(start[:count], dtype=float)
         """The states at the start."""
 
     def run(self, x: Sequence[Any], taps: Sequence[Sequence[Any]], k: int) -> tuple[list[Any], list[list[Any]]]:
         """From tick k on, tap j taking the values taps[j] in turn: the states after, and all samples of each output."""
-        numbers, period = iter(x), self._loop.period
-        states = [state_like(like, [next(numbers) for _ in like]) for like in self._at.x]
-        y, read = list(self._at.y), [list[Any]() for _ in self._read]
+        period, read = self._loop.period, [list[Any]() for _ in self._read]
+        states, y = self._layout.unpack([*x, *self._held])
         for phase, tick in enumerate(self._phases):
             tick((k + phase) * self._loop.dt, states, y, [values[phase * len(values) // period] for values in taps])
             for found, (i, j), every in zip(read, self._read, self._every):

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from steerkit.compiled.graph import FUNCTIONS_OF_MATHS, Graph, Symbol
-from steerkit.diagram.block import Wrapper, state_like
+from steerkit.diagram.block import Wrapper
 from steerkit.diagram.diagnostics import check_outputs, mistake, place_of
-from steerkit.diagram.loop import Loop, LoopState
+from steerkit.diagram.loop import Layout, Loop, LoopState
 from steerkit.diagram.maths import Routine, Table
 
 
@@ -25,49 +25,6 @@ class Tick:
 
     graph: Graph
     roots: tuple[int, ...]
-
-
-class Layout:
-    """The numbers of a loop state in a row of slots: all block states, then all held outputs."""
-
-    def __init__(self, loop: Loop, template: LoopState):
-        self.loop, self.template = loop, template
-        self.names: list[str] = []
-        self.signals: dict[str, tuple[int, int | None]] = {}
-        for name, x in zip(loop.names, template.x):
-            fields = getattr(x, "_fields", range(len(x)))
-            self.names += [f"{name}.{field}" for field in fields]
-        for name, block, y in zip(loop.names, loop.blocks.values(), template.y):
-            for out, value in zip(block.outputs, y):
-                size = None if getattr(block, out.name).size is None else len(value)
-                self.signals[f"{name}.{out.name}"] = len(self.names), size
-                self.names += [f"{name}.{out.name}"] * (1 if size is None else size)
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def pack(self, x: Sequence[Any], y: Sequence[Any]) -> list[Any]:
-        """The numbers (or arrays, or symbols) of a state in slot order."""
-        held = zip(self.signals.values(), [value for values in y for value in values])
-        return [v for state in x for v in state] + [
-            v for (_, size), value in held for v in ([value] if size is None else value)
-        ]
-
-    def unpack(self, values: Sequence[Any]) -> tuple[list[Any], list[Any]]:
-        """States and outputs, shaped as in the loop, from numbers in slot order."""
-        numbers = iter(values)
-        x = [state_like(state, [next(numbers) for _ in state]) for state in self.template.x]
-        y = []
-        for block, old in zip(self.loop.blocks.values(), self.template.y):
-            sizes = [getattr(block, out.name).size for out in block.outputs]
-            entries = [next(numbers) if n is None else tuple([next(numbers) for _ in range(n)]) for n in sizes]
-            y.append(state_like(old, entries))
-        return x, y
-
-    def slots_of(self, signal: str) -> list[int]:
-        """The slots of a signal: one, or as many as a vector port has entries."""
-        first, size = self.signals[signal]
-        return list(range(first, first + (1 if size is None else size)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,7 +81,7 @@ def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False)
                 f"{name} ({type(block).__name__}) is not pure, so it cannot be compiled; compile the loop with a model "
                 f"in its place (loop.with_block('{name}', model)), or run this one with simulate"
             )
-    layout = Layout(loop, start_of(loop))
+    layout = Layout(loop, start_of(loop).x)
     graph = Graph(routines=routines)
     k, *slots = [graph.input(slot) for slot in range(1 + len(layout))]
     present = {name: parameter(loop, name) for name in parameters}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from steerkit._support.errors import WiringError, nearest
+from steerkit._support.errors import WiringError, nearest, require
 from steerkit._support.files import read_npz, write_npz
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, Port, State, state_like
@@ -80,6 +80,52 @@ class LoopState:
     k: int
     x: tuple[State, ...]
     y: tuple[Values, ...]
+
+
+class Layout:
+    """The numbers of a loop state in a row of slots: all block states, then all held outputs.
+
+    x: states of the blocks, whose kinds and lengths count.
+    """
+
+    def __init__(self, loop: "Loop", x: Sequence[State]):
+        self.x, self._blocks = tuple(x), tuple(loop.blocks.values())
+        self.names: list[str] = []
+        self.signals: dict[str, tuple[int, int | None]] = {}
+        for name, state in zip(loop.names, self.x):
+            fields = getattr(state, "_fields", range(len(state)))
+            self.names += [f"{name}.{field}" for field in fields]
+        for name, block in loop.blocks.items():
+            for out in block.outputs:
+                size = getattr(block, out.name).size
+                self.signals[f"{name}.{out.name}"] = len(self.names), size
+                self.names += [f"{name}.{out.name}"] * (1 if size is None else size)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def pack(self, x: Sequence[Any], y: Sequence[Any]) -> list[Any]:
+        """The numbers (or arrays, or symbols) of a state in slot order."""
+        held = zip(self.signals.values(), [value for values in y for value in values])
+        return [v for state in x for v in state] + [
+            v for (_, size), value in held for v in ([value] if size is None else value)
+        ]
+
+    def unpack(self, values: Sequence[Any]) -> tuple[list[Any], list[Any]]:
+        """States and outputs, shaped as in the loop, from numbers in slot order."""
+        numbers = iter(values)
+        x = [state_like(state, [next(numbers) for _ in state]) for state in self.x]
+        y = []
+        for block in self._blocks:
+            sizes = [getattr(block, out.name).size for out in block.outputs]
+            entries = [next(numbers) if n is None else tuple([next(numbers) for _ in range(n)]) for n in sizes]
+            y.append(block.Y(*entries))
+        return x, y
+
+    def slots_of(self, signal: str) -> list[int]:
+        """The slots of a signal: one, or as many as a vector port has entries."""
+        first, size = self.signals[signal]
+        return list(range(first, first + (1 if size is None else size)))
 
 
 def require_batch(where: str, batch: int | None) -> None:
@@ -386,28 +432,22 @@ class Loop:
 
     def save_state(self, state: LoopState, file: str | FilePath) -> None:
         """Write a loop state to a NumPy .npz file, bit for bit."""
-        arrays = {"k": np.array(state.k)}
-        for name, block, x, y in zip(self.names, self._blocks, state.x, state.y):
-            arrays[f"x.{name}"] = _packed(x)
-            arrays |= {f"y.{name}.{out.name}": _packed(value) for out, value in zip(block.outputs, y)}
-        write_npz(file, arrays)
+        layout = Layout(self, state.x)
+        numbers = np.array(np.broadcast_arrays(*layout.pack(state.x, state.y)), dtype=float)
+        write_npz(file, {"k": np.array(state.k), "names": np.array(layout.names), "numbers": numbers})
 
     def load_state(self, file: str | FilePath) -> LoopState:
         """Read what `save_state` wrote for a loop of the same blocks; raises ValueError for any other file."""
         stored = read_npz(file, "load_state")
-        signals = [f"y.{name}" for name in self.units]
-        known = {"k", *(f"x.{name}" for name in self.names), *signals}
-        for verb, keys in (("lacks", known - stored.keys()), ("holds", stored.keys() - known)):
-            if keys:
-                raise ValueError(f"load_state: {file} {verb} {min(keys)}; it is no state of {self!r}")
-        x, y = [], []
-        for name, block in self.blocks.items():
-            template, values = block.init(), stored[f"x.{name}"]
-            if len(values) != len(template):
-                raise ValueError(f"load_state: {name} has {len(template)} states, {file} has {len(values)}")
-            x.append(state_like(template, _unpacked(values, vector=True)))
-            ports = [(stored[f"y.{name}.{out.name}"], out.size is not None) for out in block.outputs]
-            y.append(block.Y(*[_unpacked(value, vector=vector) for value, vector in ports]))
+        missing = {"k", "names", "numbers"} - stored.keys()
+        require(not missing, "load_state", f"{file} lacks {min(missing, default='')}; it is no state of {self!r}")
+        layout = Layout(self, [block.init() for block in self._blocks])
+        names, numbers = stored["names"].tolist(), stored["numbers"]
+        for verb, odd in (("lacks", {*layout.names} - {*names}), ("holds", {*names} - {*layout.names})):
+            require(not odd, "load_state", f"{file} {verb} {min(odd, default='')}; it is no state of {self!r}")
+        fits = names == layout.names and len(numbers) == len(names)
+        require(fits, "load_state", f"{file} holds the same names in another order or number; {self!r} cannot read it")
+        x, y = layout.unpack(numbers.tolist() if numbers.ndim == 1 else list(numbers))
         return LoopState(int(stored["k"]), tuple(x), tuple(y))
 
     def _number(self, name: str) -> int:
@@ -479,14 +519,3 @@ def _same(a: Any, b: Any) -> bool:
     """Are two outputs equal, NaN to NaN, one number standing for all cars?"""
     first, second = np.broadcast_arrays(np.asarray(a, dtype=float), np.asarray(b, dtype=float))
     return bool(np.array_equal(first, second, equal_nan=True))
-
-
-def _packed(values: Any) -> np.ndarray:
-    """Scalars as one array; those that are the same for all cars of a batch are repeated."""
-    return np.array(np.broadcast_arrays(*values) if isinstance(values, tuple) and values else values, dtype=float)
-
-
-def _unpacked(value: np.ndarray, *, vector: bool) -> Any:
-    if vector:
-        return tuple(_unpacked(v, vector=False) for v in value)
-    return float(value) if value.ndim == 0 else np.array(value)

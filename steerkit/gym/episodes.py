@@ -203,7 +203,7 @@ def episode_code(task: Task) -> tuple[str, int]:
     ticks = [Tick(tick.graph, tuple([tick.roots[i] for i in carried])) for tick in graphs.ticks]
     look = Tick(graphs.ticks[0].graph, tuple([graphs.ticks[0].roots[row] for row in rows]))
     arguments = [*(f"b[{i}]" for i in range(columns)), "a", *seen[:columns]]
-    agent = sum(len(x) for x in graphs.layout.template.x[: task.loop.names.index("controller")])
+    agent = sum(len(x) for x in graphs.layout.x[: task.loop.names.index("controller")])
     numbers = {
         "COLUMNS": columns,
         "ROWS": len(rows),

@@ -76,7 +76,7 @@ def is_free(place: FilePath) -> bool:
     return all(file.name in (LOCK, HOLDER) for file in place.iterdir())
 
 
-FORMAT = "steerkit run 2"
+FORMAT = "steerkit run 3"
 KEYS = ("experiment", "checkpoint", "counts", "pending", "trusted", "before")
 """What run.json holds besides its format."""
 
