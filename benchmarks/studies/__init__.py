@@ -29,7 +29,7 @@ _EXTRA = {
     **dict.fromkeys(("car_kill", "car_realtime"), "car"),
     "foreign": "peers",
     "gym_steps": "gym",
-    **dict.fromkeys(("production_cars", "proving"), "production"),
+    "production_cars": "production",
 }
 """Studies that need an extra of the package, and which."""
 _OF_MANY = {"joblib": "bench", "distributed": "bench"}

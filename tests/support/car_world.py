@@ -28,6 +28,8 @@ class Sent(NamedTuple):
     delta_sw: float
     enable: bool
     mode: Mode
+    v: float
+    """The faster of the two speeds that are known [m/s]."""
 
 
 class World:
@@ -46,7 +48,7 @@ class World:
         **untold: Any,
     ):
         self.config = config
-        self.car = SimulatedCar(config, s=s, v_min=v[0], v_max=v[1], seed=seed, **untold)
+        self.car: Any = self.simulated(config, s=s, v_min=v[0], v_max=v[1], seed=seed, **untold)
         self.recorder = recorder
         self.core = Core(config)
         self.t = 0.0
@@ -67,6 +69,10 @@ class World:
         self.follow = Follow.of(loop, self)
         self.run = realtime.Run(self.follow.resting, self.follow.resting.init(), realtime.Timing(period=loop.dt))
         self.due = 0.05
+
+    def simulated(self, config: CarConfig, **told: Any) -> Any:
+        """The car."""
+        return SimulatedCar(config, **told)
 
     def build(self, controller: Block, doe: OutputElement | None) -> Loop:
         """The loop of a controller, or of a policy."""
@@ -142,7 +148,9 @@ class World:
                 case Send():
                     self.car.receive(self.t, out.frame_id, out.data)
                     angle, enable, _ = self.config.writer.read(out.data)
-                    self.sent.append(Sent(self.t, angle, enable, self.core.machine.mode))
+                    known = self.core.senses.values
+                    v = max(abs(known["v"]), abs(known["v_kit"]))
+                    self.sent.append(Sent(self.t, angle, enable, self.core.machine.mode, v))
                 case Note(topic="state", values=v):
                     self.modes.append((v["t"], v["to"], v["cause"]))
                 case Reply(data=data):
@@ -185,5 +193,11 @@ class World:
         for a, b in zip(self.sent, self.sent[1:]):
             assert b.t - a.t >= gate.dt_min - 1e-6
             if a.enable and b.enable:
-                rate = abs(b.delta_sw - a.delta_sw) / min(b.t - a.t, gate.dt_max)
-                assert rate <= gate.rate_max * (1.0 + 1e-6)
+                v, dt = max(b.v, gate.v_floor), min(b.t - a.t, gate.dt_max)
+                length = gate.length(v)
+                kappa = [math.tan(s.delta_sw / gate.steer_ratio) / length for s in (a, b)]
+                step = 1.01 * gate.quantum / gate.steer_ratio / length
+                assert abs(b.delta_sw - a.delta_sw) / dt <= gate.rate_max * (1.0 + 1e-6)
+                assert abs(b.delta_sw - a.delta_sw) <= gate.rate(v) * dt + 1.01 * gate.quantum
+                assert abs(kappa[1] - kappa[0]) <= gate.jerk_max / v**2 * dt + step
+                assert abs(kappa[1]) <= max(abs(kappa[0]), gate.a_y_max / v**2 + step)

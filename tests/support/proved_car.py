@@ -2,19 +2,40 @@
 
 import math
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 from typing import Any
 
-from benchmarks.run.proving_car import config_on, oval
-from steerkit.car.config import CarConfig
+from steerkit.car.config import CarConfig, load, shipped
+from steerkit.car.production.platforms import platform
 from steerkit.car.protocol import Snapshot
 from steerkit.car.prove import Proving
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import realtime
+from steerkit.paths.courses import bends
+from steerkit.paths.path import Path as Course
 from steerkit.proving.manoeuvre import Manoeuvre, manoeuvre
 from tests.support.car_world import World
 
-__all__ = ["ProvingWorld", "config_on", "oval", "small"]
 V = 8.0
+KIT = "dbw-kit.toml"
+
+
+@cache
+def oval(straight: float = 400.0, radius: float = 40.0) -> Course:
+    """A closed course with two long straights [m]."""
+    ramp = 0.4 * radius
+    return bends([(straight, 90.0, radius, ramp), (10.0, 90.0, radius, ramp)] * 2, name="oval")
+
+
+def config_on(course: Course, folder: Path, name: str = KIT) -> CarConfig:
+    """The file of a kit or of a production car on that course, in a folder so that a recording holds all of it."""
+    course.to_csv(folder / "course.csv")
+    text = shipped(name if name == KIT else "production-car.toml").read_text(encoding="utf-8")
+    for known in ("paper", "highway"):
+        text = text.replace(f'[course]\nname = "{known}"', '[course]\nfile = "course.csv"\nclosed = true')
+    (folder / "car.toml").write_text(text.replace("TESLA_MODEL_3", name), encoding="utf-8")
+    return load(str(folder / "car.toml"))
 
 
 def small(name: str = "step-steer", v: float = V, a_y: float = 0.15, **more: Any) -> Manoeuvre:
@@ -24,7 +45,10 @@ def small(name: str = "step-steer", v: float = V, a_y: float = 0.15, **more: Any
 
 
 class ProvingWorld(World):
-    """The car server's core, a simulated car that drives at the manoeuvre's speed, and the runs."""
+    """The car server's core, a simulated car that drives at the manoeuvre's speed, and the runs.
+
+    A production car is behind its port, and opendbc's safety code judges each of its frames.
+    """
 
     def __init__(self, wanted: Manoeuvre, config: CarConfig, *, s: float = 20.0, **more: Any):
         self.proving: Proving | None = None
@@ -42,6 +66,14 @@ class ProvingWorld(World):
         self.due = self.t + 0.05
         if how.get("yes"):
             self.order(Order.ARM)  # as the panel does
+
+    def simulated(self, config: CarConfig, **told: Any) -> Any:
+        if not config.port:
+            return super().simulated(config, **told)
+        from benchmarks.judges.opendbc_safety import SafetyJudge
+        from benchmarks.run.production import PortedCar
+
+        return PortedCar(config, judge=SafetyJudge(platform(config.port)), **told)
 
     @property
     def runs(self) -> list[dict[str, Any]]:

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.studies.proving import closed_forms, linear, noisy
+from steerkit import Scenario
 from steerkit.metrics.table import r79_acceleration
 from steerkit.proving.evaluate import Evaluation, crossing, evaluate, of_repeats, peak, plateaus
 from steerkit.proving.manoeuvre import Limit, Manoeuvre, manoeuvre, names
 from steerkit.proving.runs import Run, simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
+from tests.support.linear_car import closed_forms, linear, noisy
 
 
 @cache
@@ -75,15 +76,19 @@ def test_a_neutral_car_has_no_second_order_answer_to_be_read() -> None:
     )
 
 
-def test_intervals_of_noisy_measurements_hold_the_truth_mostly() -> None:
-    """The study `proving` draws 500; here 40 must not be far from 95 %."""
-    random, one = np.random.default_rng(3), manoeuvre("steady-state-circle")
+@pytest.mark.parametrize(
+    ("name", "quantity", "widest"),
+    [("steady-state-circle", "understeer_gradient", 0.001), ("random-steer", "natural_frequency", 0.5)],
+)
+def test_intervals_of_noisy_measurements_hold_the_truth_mostly(name: str, quantity: str, widest: float) -> None:
+    """40 must not be far from 95 %."""
+    random, one = np.random.default_rng(3), manoeuvre(name)
     truth = closed_forms(PASSAT, one.conditions.v)
     held = []
     for _ in range(40):
         found = evaluate(one, [noisy(run, random) for run in runs_of(one.name)], PASSAT)
         held += [r.low <= truth[r.quantity] <= r.high for r in found.results if r.quantity in truth]
-        assert 0.0 < found["understeer_gradient"].high - found["understeer_gradient"].low < 0.001
+        assert 0.0 < found[quantity].high - found[quantity].low < widest
     assert 0.85 <= np.mean(held) < 1.0
 
 
@@ -186,6 +191,39 @@ def test_a_request_is_timed_to_the_sample() -> None:
     assert found["crossing"].value == pytest.approx(0.70, abs=0.011)
     slow = replace(run, signals={**run.signals, "a_y": 0.9 * run["a_y"] / run["a_y"].max() * 0.5})
     assert math.isnan(evaluate(one, [slow], PASSAT)["crossing"].value)
+
+
+def report_of_openpilot(t: Any, requested: Any, actual: Any) -> tuple[float, float]:
+    """Delay at 50 % and crossing time, as openpilot's report has them: sample by sample, from the run's beginning.
+
+    The delay is the time of the first sample at which the actual lateral acceleration has reached half of the first
+    peak of the requested one, in its direction; the crossing that of the first one that has reached the peak itself.
+    Written from the description of tools/lateral_maneuvers, not from its code.
+    """
+    peak, k = 0.0, 0
+    while k < len(t) and abs(requested[k]) >= abs(peak) and requested[k] * peak >= 0.0:
+        peak, k = requested[k], k + 1
+    times = [math.nan, math.nan]
+    for which, share in enumerate((0.5, 1.0)):
+        for when, value in zip(t, actual):
+            if math.copysign(1.0, peak) * value >= share * abs(peak):
+                times[which] = float(when)
+                break
+    return times[0], times[1]
+
+
+@pytest.mark.parametrize("name", [name for name in names() if name.startswith("openpilot")])
+@pytest.mark.parametrize("delay", [0.0, 0.2])
+def test_a_request_is_timed_as_openpilot_s_report_times_it(name: str, delay: float) -> None:
+    one = manoeuvre(name)
+    scenario = Scenario(vehicle={"plant": "linear"}, steering={"delay": delay, "lag": 0.15})
+    for run in simulated(one, scenario):
+        use = run.between(0.0, one.seconds)
+        sign = 1.0 if run.side == "left" else -1.0
+        wave = sign * one.required.a_y * one.required.wave[: int(use.sum())]
+        theirs = report_of_openpilot(run.t[use], wave, run["a_y"][use])
+        ours = evaluate(one, [run], scenario.nominal)
+        assert (ours["delay_50"].value, ours["crossing"].value) == pytest.approx(theirs, abs=run.dt, nan_ok=True)
 
 
 def test_a_course_is_judged_by_r79_s_filters() -> None:

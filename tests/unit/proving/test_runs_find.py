@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.studies.proving import linear
 from steerkit.logs import read_drive
 from steerkit.logs.drive import Drive
 from steerkit.proving.evaluate import evaluate
 from steerkit.proving.manoeuvre import manoeuvre
 from steerkit.proving.runs import _even, correlated, found, simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
+from tests.support.linear_car import linear
 
 
 def drive_with(name: str, *, v: float, gaps: float = 20.0, seed: int = 0) -> tuple[Drive, list[float]]:
