@@ -28,14 +28,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
-_EXTRA = {
-    "joblib": "joblib",
-    "pandas": "pandas",
-    "pyarrow": "pyarrow",
-    "jinja2": "jinja2",
-    "distributed": "distributed",
-}
-"""What the extra `bench` brings: module and package."""
+EXTRA = ("joblib", "pandas", "jinja2", "distributed")
+"""What the extra `bench` brings."""
 LEADERBOARD = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y", "max_jerk")
 """Metrics that are shown after a run."""
 Place = Annotated[Path, typer.Argument(help="Directory of results, as `run` wrote it.")]
@@ -47,7 +41,7 @@ def _console() -> Any:
 
 def _require_extra(*modules: str) -> None:
     """Raise ValueError that says what to install, before hours of computing, if any of them is missing."""
-    missing = [_EXTRA[name] for name in modules if find_spec(name) is None]
+    missing = [name for name in modules if find_spec(name) is None]
     if missing:
         said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} not installed"
         raise ValueError(f"{said}: pip install 'steerkit-control[bench]'")
@@ -92,7 +86,7 @@ def run(
     as_json: Machine = False,
 ) -> None:
     """Run suites; what has finished is kept at once, and the same command goes on after a stop."""
-    _require_extra("joblib", "pandas", "pyarrow", *(["distributed"] if backend == "dask" else []))
+    _require_extra("joblib", *(["distributed"] if backend == "dask" else []))
     from benchmarks.run.runner import run as carry_out
     from benchmarks.suites import elsewhere, suite
     from steerkit.scenario import Scenario
@@ -207,7 +201,7 @@ def golden(
     as_json: Machine = False,
 ) -> None:
     """Run the golden suite and print what differs from the numbers that the tests hold."""
-    _require_extra("joblib", "pandas", "pyarrow")
+    _require_extra("joblib")
     from benchmarks.run import golden as kept
 
     console, place = _console(), kept.file()

@@ -90,22 +90,6 @@ def _tracking_scenarios() -> tuple[Scenario, ...]:
     )
 
 
-@cache
-def _manoeuvres() -> Suite:
-    """The manoeuvres on a course, as `steerkit prove` has them; bounds of ISO 11270 and UN R79 stand in the report."""
-    on_course = [one for one in some(["all"]) if one.course]
-    return Suite(
-        name="manoeuvres",
-        about="ISO 3888 lane changes and lane keeping of ISO 11270 and UN R79 at 60 and 80 km/h",
-        scenarios=tuple(
-            scene(name=one.name, course=one.course, driver={"v_min": one.conditions.v, "v_max": one.conditions.v})
-            for one in on_course
-        ),
-        controllers=(*ANALYTIC, *LEARNED),
-        seeds=3,
-    )
-
-
 def _of_tracking(*names: str) -> tuple[Scenario, ...]:
     return tuple(scenario for scenario in _tracking_scenarios() if scenario.name in names)
 
@@ -122,30 +106,31 @@ def _grid(kind: str, first: tuple[str, Sequence[float]], second: tuple[str, Sequ
 
 _ADAPT = ("stanley", *TELLABLE, *(name + ORACLE for name in TELLABLE), "nfq-same-car-1", "nfq-same-car-5")
 
-
-@cache
-def _paper() -> Suite:
-    return Suite(
+SUITES: dict[str, Callable[[], Suite]] = {
+    "paper": lambda: Suite(
         name="paper",
         about="figures 3 to 6 of the paper: learning on the 800 m course, the final nets' round, beside its values",
         scenarios=(PAPER_ROUND,),
         controllers=("stanley", "stanley-textbook", *LEARNED, *AS_PUBLISHED, "nfq-paper-120"),
-    )
-
-
-@cache
-def _tracking() -> Suite:
-    return Suite(
+    ),
+    "tracking": lambda: Suite(
         name="tracking",
         about="every controller on courses, lane changes, slalom, steps and three plants; nets of the 800 m course",
         scenarios=_tracking_scenarios(),
         controllers=(*ANALYTIC, *LEARNED),
-    )
-
-
-@cache
-def _robustness() -> Suite:
-    return Suite(
+    ),
+    "manoeuvres": lambda: Suite(  # as `steerkit prove` has them; bounds of the norms stand in the report
+        name="manoeuvres",
+        about="ISO 3888 lane changes and lane keeping of ISO 11270 and UN R79 at 60 and 80 km/h",
+        scenarios=tuple(
+            scene(name=one.name, course=one.course, driver={"v_min": one.conditions.v, "v_max": one.conditions.v})
+            for one in some(["all"])
+            if one.course
+        ),
+        controllers=(*ANALYTIC, *LEARNED),
+        seeds=3,
+    ),
+    "robustness": lambda: Suite(
         name="robustness",
         about="grids of what no controller knows: delay, lag, tyres, friction, ratio, offset, noise, wind, bank",
         scenarios=(
@@ -172,76 +157,48 @@ def _robustness() -> Suite:
         ),
         controllers=("stanley", "stanley-textbook", "stanley-delay", "pure-pursuit", "lqr", "mpc", "nfq-idoe"),
         seeds=3,
-    )
-
-
-@cache
-def _generalise() -> Suite:
-    return Suite(
+    ),
+    "generalise": lambda: Suite(
         name="generalise",
         about="nets taught on one course and car, driven on others",
         scenarios=(
-            PAPER_ROUND,
+            *_of_tracking("paper-round", "paper-linear", "paper-hard", "genesis-recorded", "genesis-rfs-recorded"),
             *(scene(name=f"random-{n}", course=f"random-{n}") for n in range(1, 6)),
-            scene(name="genesis-recorded", course="genesis", driver={"speed": "recorded", "v_max": 9.0}),
-            scene(name="genesis-rfs-recorded", course="genesis-rfs", driver={"speed": "recorded", "v_max": 9.0}),
-            scene(name="paper-linear", vehicle={"plant": "linear"}),
-            scene(name="paper-hard", steering={"lag": 0.15}, sensors={"noise": 1.0, "latency": 0.05}),
             scene(name="paper-bmw", vehicle="bmw-320i"),
             scene(name="paper-ford", vehicle="ford-escort"),
             scene(name="paper-multi-body", vehicle={"plant": MULTI_BODY, "name": "bmw-320i"}),
         ),
         controllers=("stanley", "lqr", *LEARNED, "nfq-idoe-genesis", "nfq-idoe-linear", "nfq-idoe-hard"),
         seeds=5,
-    )
-
-
-@cache
-def _learning_curve() -> Suite:
-    return Suite(
+    ),
+    "learning-curve": lambda: Suite(
         name="learning-curve",
         about="driving time against performance, offline iterations, 70 and 120 episodes",
         scenarios=(),
         controllers=(*LEARNED, *AS_PUBLISHED, "nfq-paper-120", "nfq-idoe-offline"),
-    )
-
-
-@cache
-def _peers() -> Suite:
-    return Suite(
+    ),
+    "peers": lambda: Suite(
         name="peers",
         about="controllers that nobody here wrote: agents of Stable-Baselines3, do-mpc, CommonRoad's car",
         scenarios=_of_tracking("paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body"),
         controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "do-mpc"),
         seeds=3,
-    )
-
-
-@cache
-def _adapt() -> Suite:
-    return Suite(
+    ),
+    "adapt": lambda: Suite(
         name="adapt",
         about="cars unlike their data sheet: learned on that car; analytic with the data sheet or true parameters",
         scenarios=unlike_the_data_sheet(),
         controllers=_ADAPT,
         seeds=3,
-    )
-
-
-@cache
-def _adapt_quick() -> Suite:
-    return Suite(
+    ),
+    "adapt-quick": lambda: Suite(
         name="adapt-quick",
         about="one car of adapt, one minute of learning",
         scenarios=tuple(s for s in unlike_the_data_sheet() if s.name == "passat-ratio-tyres"),
         controllers=_ADAPT[:-1],
         seeds=1,
-    )
-
-
-@cache
-def _foreign() -> Suite:
-    return Suite(
+    ),
+    "foreign": lambda: Suite(
         name="foreign",
         about="cars that no one here wrote: learned on that car; analytic untold, told wrongly, truly, adapting",
         scenarios=foreign_scenarios(),
@@ -254,12 +211,8 @@ def _foreign() -> Suite:
             "nfq-same-car-5",
         ),
         seeds=2,
-    )
-
-
-@cache
-def _compute() -> Suite:
-    return Suite(
+    ),
+    "compute": lambda: Suite(
         name="compute",
         about="computing time a step, one drive at a time",
         scenarios=(scene(name="paper-steady", driver={"v_min": 6.0, "v_max": 6.0}),),
@@ -267,12 +220,8 @@ def _compute() -> Suite:
         seeds=1,
         timed_steps=2000,
         alone=True,
-    )
-
-
-@cache
-def _quick() -> Suite:
-    return Suite(
+    ),
+    "quick": lambda: Suite(
         name="quick",
         about="a selection of some minutes of paper and tracking, nets after 3 minutes of driving (make bench)",
         scenarios=_of_tracking(
@@ -282,12 +231,8 @@ def _quick() -> Suite:
         controllers=(*ANALYTIC, "nfq-idoe-quick", "nfq-bang-bang-quick"),
         seeds=6,  # with fewer nothing can be told apart
         timed_steps=200,
-    )
-
-
-@cache
-def _golden() -> Suite:
-    return Suite(
+    ),
+    "golden": lambda: Suite(
         name="golden",
         about="a small one whose numbers the tests hold",
         scenarios=(
@@ -299,27 +244,11 @@ def _golden() -> Suite:
                 sensors={"noise": 1.0, "latency": 0.05},
                 disturbances={"wind": 0.2, "gust": 0.1},
             ),
-            scene(name="curvature-step-7", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0}),
+            *_of_tracking("curvature-step-7"),
         ),
         controllers=("stanley", "stanley-textbook", "pure-pursuit"),
         seeds=2,
-    )
-
-
-SUITES: dict[str, Callable[[], Suite]] = {
-    "paper": _paper,
-    "tracking": _tracking,
-    "manoeuvres": _manoeuvres,
-    "robustness": _robustness,
-    "generalise": _generalise,
-    "learning-curve": _learning_curve,
-    "peers": _peers,
-    "adapt": _adapt,
-    "adapt-quick": _adapt_quick,
-    "foreign": _foreign,
-    "compute": _compute,
-    "quick": _quick,
-    "golden": _golden,
+    ),
 }
 """What makes each suite, by name; a suite's courses take long, so it is made when it is asked for."""
 
