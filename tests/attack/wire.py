@@ -73,7 +73,7 @@ def command(data: bytes) -> tuple[float, bool, bool]:
     return math.radians(tenths / 10.0), bool(data[2] & 1), bool(data[2] & 2)
 
 
-HELLO = {True: b'["Hello", true, 6, "", "own client"]', False: b'["Hello", false, 6, "", "own panel"]'}
+HELLO = {True: b'["Hello", true, 7, "", "own client"]', False: b'["Hello", false, 7, "", "own panel"]'}
 """By whether it is the controller's."""
 ORDERS = {name: f'["Command", "{name}"]'.encode() for name in ("ARM", "ENGAGE", "DISENGAGE", "ACKNOWLEDGE", "OFF")}
 QUERY, BEAT = b'["Query"]', b'["Beat"]'
