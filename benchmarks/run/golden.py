@@ -30,10 +30,10 @@ def file() -> FilePath:
     raise ValueError(f"golden numbers are kept in a checkout, as {_PLACE}; here is none: run this in one")
 
 
-def measured(*, workers: int = 1) -> Results:
+def measured() -> Results:
     """The suite `golden`, run anew; only the cases in memory are left of it."""
     with TemporaryDirectory() as place:
-        return run([suite("golden")], FilePath(place) / "golden", workers=workers, quiet=True)
+        return run([suite("golden")], FilePath(place) / "golden", workers=1, quiet=True)
 
 
 def numbers(results: Results) -> dict[str, dict[str, float]]:

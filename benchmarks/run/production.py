@@ -1,4 +1,4 @@
-"""Drives behind the bus in one process: controller, car server's core, and a kit or a port, its judge and its car."""
+"""Drives behind the bus in one process: controller, car server's core, a port, its judge and its car."""
 
 import time
 from collections.abc import Callable
@@ -14,7 +14,6 @@ from steerkit.car.production.car_frames import CarFrames
 from steerkit.car.production.platforms import platform
 from steerkit.car.production.port import STEP, Frame, Port
 from steerkit.car.production.simulated import ProductionCar
-from steerkit.car.simulated import SimulatedCar
 from steerkit.car.state_machine import Mode, Order
 from steerkit.task import DT
 
@@ -22,15 +21,14 @@ BEAT = 0.1
 
 
 @cache
-def config_of(name: str, course: str = "highway", **limits: float) -> CarConfig:
-    """The shipped file of a production car, for another platform and course."""
-    text = shipped("production-car.toml").read_text(encoding="utf-8")
+def config_of(name: str, **limits: float) -> CarConfig:
+    """The shipped file of a production car, for another platform, with other limits."""
+    file = shipped("production-car.toml")
+    text = file.read_text(encoding="utf-8")
     data = toml_of(text, "car")
     data["port"]["opendbc"] = name
-    data["course"] = {"name": course}
     data["limits"] |= limits
-    where = shipped("production-car.toml").parent
-    return Reading(name, data, {"config.toml": text}, where).config(None)
+    return Reading(name, data, {"config.toml": text}, file.parent).config(None)
 
 
 class _Timed:
@@ -98,26 +96,23 @@ class PortedCar:
 class ProductionWorld:
     """A line to the car, as a `CarClient` is one: each `query` moves time on by a sample. The panel's keys are read.
 
-    config: of a production car, or of a kit, which has neither port nor judge. more: as the car takes it.
+    config: of a production car. more: as the car takes it.
     """
 
     def __init__(self, config: CarConfig, *, judged: bool = True, **more: Any):
         self.config = config
-        self.judge = SafetyJudge(platform(config.port)) if judged and config.port else None
-        self.car: Any = PortedCar(config, judge=self.judge, **more) if config.port else SimulatedCar(config, **more)
+        self.judge = SafetyJudge(platform(config.port)) if judged else None
+        self.car = PortedCar(config, judge=self.judge, **more)
         self.core = Core(config)
         self.t, self.misses = 0.0, 0
         self.last: protocol.Snapshot | None = None
         self.modes: list[tuple[float, Mode, str]] = []
-        self.beat_due, self.beats = 0.01, True
+        self.beat_due = 0.01
         self.handle(Link(0.0, 1, True))
         self.packet(protocol.Hello(True))
         self.handle(Link(0.0, 2, True))
         self.handle(Packet(0.0, 2, protocol.encode(protocol.Hello(False))))
         self.until(1.2)
-
-    def told(self, event: Event, outputs: list[Any]) -> None:
-        """Is given every event, and what the core made of it."""
 
     # a line to the car
     def query(self) -> protocol.Snapshot:
@@ -126,10 +121,6 @@ class ProductionWorld:
         self.packet(protocol.Query())
         assert self.last is not None
         return self.last
-
-    def wait(self, *modes: Mode, timeout: float, wall: float = 0.0) -> protocol.Snapshot:
-        """As a client's."""
-        return self.query()
 
     def request(self, delta_sw: float) -> None:
         """Ask for an angle [rad]."""
@@ -151,8 +142,7 @@ class ProductionWorld:
             self.t = t
             if t >= self.beat_due:
                 self.beat_due = t + BEAT
-                if self.beats:
-                    self.handle(Packet(t, 2, protocol.encode(protocol.Beat())))
+                self.handle(Packet(t, 2, protocol.encode(protocol.Beat())))
             for when, frame_id, data in self.car.advance(t):
                 self.handle(core.Frame(t, when, frame_id, data))
             self.handle(Tick(t))
@@ -165,9 +155,7 @@ class ProductionWorld:
 
     def handle(self, event: Event) -> None:
         """What the core makes of an event."""
-        outputs = self.core.handle(event)
-        self.told(event, outputs)
-        for out in outputs:
+        for out in self.core.handle(event):
             match out:
                 case Send():
                     self.car.receive(self.t, out.frame_id, out.data)

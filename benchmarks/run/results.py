@@ -148,13 +148,6 @@ class Results:
             rows.append(case.row() | {f"scenario.{k}": v for k, v in scenario.items() if not isinstance(v, list)})
         return pd.DataFrame(rows, columns=None if rows else [f.name for f in fields(Case) if f.name != "metrics"])
 
-    def case(self, case_id: str) -> Case:
-        """The case with that id; raises KeyError."""
-        for case in self.cases:
-            if case.id == case_id:
-                return case
-        raise KeyError(f"no finished case '{case_id}' in {self.place}")
-
     def trajectory(self, case: Case) -> dict[str, np.ndarray] | None:
         """The decimated drive, arrays by the names of `TRAJECTORY`; None if the case has none (an error, say)."""
         return self._arrays("trajectories", case)

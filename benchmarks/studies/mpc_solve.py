@@ -46,10 +46,10 @@ Case = tuple[tuple[float, ...], Any]
 """A block state and its inputs."""
 
 
-def recorded(samples: int, *, horizon: int = 40) -> list[list[float]]:
-    """Inputs of a controller with that horizon in each sample of a drive: e, psi_e, v, beta, r, wheel, preview."""
+def recorded(samples: int) -> list[list[float]]:
+    """Inputs of the longest horizon's controller in each sample of a drive: e, psi_e, v, beta, r, wheel, preview."""
     path = course("paper")
-    mpc = MPC.of(CAR, **STEERING, horizon=horizon)
+    mpc = MPC.of(CAR, **STEERING, horizon=40)
     loop = steering_loop(
         car=placed(CAR, path, s=1.0),
         path=path,
