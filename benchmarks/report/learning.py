@@ -17,9 +17,11 @@ Band = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Curves:
-    """Learning over x, which is driving minutes or trainings: by controller (middle, low, high), each over x."""
+    """Learning over x: by controller (middle, low, high), each over x."""
 
     scenario: str
+    label: str
+    """What x is, with its unit."""
     x: np.ndarray
     rms_e: dict[str, Band]
     good: dict[str, Band]
@@ -27,28 +29,21 @@ class Curves:
 
 
 def learning(results: Results, cases: Sequence[Case], *, points: int = 80) -> list[Curves]:
-    """Curves over driving time by scenario: RMS e of the net in use, and the share of seeds whose net is GOOD.
+    """Curves by scenario: RMS e of the net in use, and the share of seeds whose net is GOOD.
 
-    A seed's value at a time is that of the last net that had taken the wheel; before the first it counts as never.
+    First those over driving time, then, for scenarios whose nets went on being trained after the driving, those over
+    the number of trainings. A seed's value is that of the last net that had taken the wheel; before the first it
+    counts as never.
     """
-    curves = []
-    for scenario, learners in _runs(results, cases).items():
-        end = max(float(c["t"].max()) for runs in learners.values() for c in runs)
-        curves.append(_curves(scenario, learners, np.linspace(0.0, end / 60.0, points), lambda c: c["t"] / 60.0))
-    return curves
-
-
-def offline(results: Results, cases: Sequence[Case]) -> list[Curves]:
-    """The same over the number of trainings, for scenarios whose nets went on being trained after the driving."""
-    curves = []
+    by_time, by_training = [], []
     for scenario, learners in _runs(results, cases).items():
         runs = [c for them in learners.values() for c in them]
+        x = np.linspace(0.0, max(float(c["t"].max()) for c in runs) / 60.0, points)
+        by_time.append(_curves(scenario, "driving time [min]", learners, x, lambda c: c["t"] / 60.0))
         if all(np.count_nonzero(c["t"] == c["t"].max()) >= 3 for c in runs):
-            count = max(len(c["t"]) for c in runs)
-            curves.append(
-                _curves(scenario, learners, np.arange(count + 1.0), lambda c: np.arange(1.0, len(c["t"]) + 1))
-            )
-    return curves
+            x = np.arange(max(len(c["t"]) for c in runs) + 1.0)
+            by_training.append(_curves(scenario, "trainings", learners, x, lambda c: np.arange(1.0, len(c["t"]) + 1)))
+    return by_time + by_training
 
 
 def _runs(results: Results, cases: Sequence[Case]) -> dict[str, dict[str, list[Curve]]]:
@@ -62,11 +57,11 @@ def _runs(results: Results, cases: Sequence[Case]) -> dict[str, dict[str, list[C
 
 
 def _curves(
-    scenario: str, learners: Mapping[str, list[Curve]], x: np.ndarray, at: Callable[[Curve], np.ndarray]
+    scenario: str, label: str, learners: Mapping[str, list[Curve]], x: np.ndarray, at: Callable[[Curve], np.ndarray]
 ) -> Curves:
     rms_e = {name: _band([_held_at(at(c), _rms(c), x, math.inf) for c in runs]) for name, runs in learners.items()}
     good = {name: _shares([_held_at(at(c), good_nets(c), x, 0.0) for c in runs]) for name, runs in learners.items()}
-    return Curves(scenario, x, rms_e, good, {name: len(runs) for name, runs in learners.items()})
+    return Curves(scenario, label, x, rms_e, good, {name: len(runs) for name, runs in learners.items()})
 
 
 def _rms(curve: Curve) -> np.ndarray:

@@ -141,10 +141,8 @@ def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look])
 def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
     """Two pictures a scenario of learning: the share of seeds that drive well, and how well."""
     pictures = []
-    for curves, x in (
-        *((c, "driving time [min]") for c in learning.learning(results, cases)),
-        *((c, "trainings") for c in learning.offline(results, cases)),
-    ):
+    for curves in learning.learning(results, cases):
+        x = curves.label
         seeds = ", ".join(f"{name} {n}" for name, n in curves.seeds.items())
         good = figures.bands(curves.x, curves.good, look, x_label=x, y_label="share of seeds", share=True)
         text = (

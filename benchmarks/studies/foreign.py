@@ -62,7 +62,7 @@ from benchmarks.tables import show, show_figures
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import radians_of
 from steerkit.metrics.signals import rms
-from steerkit.scenario import CONDITIONS, Scenario
+from steerkit.scenario import Scenario
 from steerkit.scenario.assembly import placed
 from steerkit.scenario.catalogue import AUTO, RECOVERIES, make_controller, make_recovery
 from steerkit.scenario.drive import assembled
@@ -198,15 +198,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     cars = f"{', '.join(CARS)}; of the changes: {HOME}, mujoco, ..."
     parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=PARTS, metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--cars", nargs="+", default=None, choices=[*CARS, HOME], metavar="CAR", help=cars)
-    parser.add_argument("--told", nargs="+", default=list(TOLD), metavar="X", help="times the true dead time, or none")
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=40.0, help="of each drive of the recovery")
     parser.add_argument("--minutes", type=float, default=5.0, help="of each learner")
     parser.add_argument("--phase", type=float, default=2.0, help="minutes before and after each change")
-    parser.add_argument("--changes", nargs="+", default=list(CHANGES), choices=list(CHANGES), metavar="CHANGE")
-    usual = "default: clean for recovery and adaptive, else hard"
-    parser.add_argument("--conditions", default=None, choices=list(CONDITIONS), help=usual)
     parser.add_argument("--keep", default="", metavar="FILE", help="keeps drives; those in it are not made again")
     parser.add_argument("--at-most", type=float, default=math.inf, metavar="MINUTES", help="then no drive is begun")
     spread.add_options(parser)
@@ -214,20 +209,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
     """What a part drives, seed by seed, so that a study that is stopped has all cars."""
-    quick, clean, hard = options.quick, options.conditions or "clean", options.conditions or "hard"
+    quick = options.quick
     seeds = range(options.first_seed, options.first_seed + (1 if quick else options.seeds))
     cars = [car for car in options.cars or CARS if car in CARS][: 1 if quick else None]
     if part == "recovery":
         return [
-            Job(car, speed, factor, AUTO, seed, 15.2 if quick else options.seconds, clean)
+            Job(car, speed, factor, AUTO, seed, 15.2 if quick else 40.0, "clean")
             for seed in seeds
             for car in cars
             for speed in CARS[car].speeds[: 1 if quick else None]
-            for factor in (("1",) if quick else options.told)
+            for factor in (("1",) if quick else TOLD)
         ]
     if part == "adaptive":
         return [
-            AdaptiveJob(car, speed, name, lag, seed, 2.0 if quick else 60.0, clean)
+            AdaptiveJob(car, speed, name, lag, seed, 2.0 if quick else 60.0, "clean")
             for seed in seeds
             for car in cars
             for speed in CARS[car].speeds[: 1 if quick else None]
@@ -235,7 +230,7 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
             for lag in LAGS
         ]
     if part == "learner":
-        how = (0.2, hard, 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, hard, LAST)
+        how = (0.2, "hard", 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, "hard", LAST)
         return [
             LearnerJob(car, *speeds, seed, *how)
             for seed in seeds
@@ -244,9 +239,9 @@ def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
         ]
     short: dict[str, Any] = {"minutes": 0.05, "told": ("lqr",)} if quick else {"minutes": options.phase}
     every = [
-        changes.Job(car=car, change=change, seed=seed, conditions=hard, **short)
+        changes.Job(car=car, change=change, seed=seed, conditions="hard", **short)
         for seed in seeds
-        for change in options.changes
+        for change in CHANGES
         for car in CHANGES[change].cars
         if car in (options.cars or (HOME, "mujoco"))
     ]
