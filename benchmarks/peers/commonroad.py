@@ -9,7 +9,7 @@ import numpy as np
 
 from steerkit._support.errors import require
 from steerkit.diagram.block import State
-from steerkit.plants.single_track import Car
+from steerkit.plants.single_track import IntegratedCar
 from steerkit.vehicles import BMW_320I, FORD_ESCORT, G, Vehicle, vehicle_text
 
 _VANAGON = (1478.8979637767998, 1.1507916024, 1.3211363976000001)  # kg, m, m
@@ -28,14 +28,13 @@ VANAGON_FILE = {"name": "vw-vanagon.toml", "text": vehicle_text(VW_VANAGON)}
 CARS = (BMW_320I, FORD_ESCORT, VW_VANAGON)
 _FORWARD = 2.0  # 1/s: how fast the multi-body car's speed control closes a gap in speed
 _PEDALS = 3.0  # m/s^2: with how much at most; more spins its wheels
-_SUBSTEPS = 4  # its fastest mode is near -840/s: Runge-Kutta is stable to 2.78/840 s, and exact to 1e-5 at 2.5 ms
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CommonRoadMultiBody(Car):
+class CommonRoadMultiBody(IntegratedCar):
     """CommonRoad's multi-body car (29 states: suspension, wheels, Magic Formula tyres) as a plant that is not ours.
 
-    x' = vehicle_dynamics_mb(x, (0, a_x)), four Runge-Kutta steps of dt/4 a sample, with the road-wheel angle put to
+    x' = vehicle_dynamics_mb(x, (0, a_x)), `substeps` Runge-Kutta steps a sample, with the road-wheel angle put to
     delta_sw_cmd/steer_ratio (held) and a_x = 2/s (v_cmd - v_x) within +-3 m/s^2; a_y = v_y' + v_x r.
 
     Ports: those of `SingleTrack`, whose docstring has their units. State: the model's 29, the last delta_sw [rad] and
@@ -48,17 +47,14 @@ class CommonRoadMultiBody(Car):
 
     vehicle: Vehicle = BMW_320I
     """`bmw-320i`, `ford-escort` or `vw-vanagon`, as they are: the model has no other tyres, masses and springs."""
-    x0: float = 0.0
-    """Start position [m]."""
-    y0: float = 0.0
-    """Start position [m]."""
-    psi0: float = 0.0
-    """Start heading [rad]."""
     v0: float = 5.0
     """Start speed [m/s]."""
-    dt: float = 0.01
+    substeps: int = 4
+    """Integration steps a sample: its fastest mode is near -840/s, and Runge-Kutta stable to
+    2.78/840 s, and exact to 1e-5 at 2.5 ms."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         valid = f"valid: {', '.join(car.name for car in CARS)}, with no other tyres, friction or ratio"
         require(self.vehicle in CARS, "CommonRoadMultiBody", f"car {self.vehicle.name!r}; {valid}")
         require(self.v0 > 0.1, "CommonRoadMultiBody", f"v0 = {self.v0} [m/s], expected > 0.1")
@@ -89,9 +85,9 @@ class CommonRoadMultiBody(Car):
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         p = self.vehicle
         delta_sw = min(max(u.delta_sw_cmd, -p.delta_sw_max), p.delta_sw_max)
-        z, v, h = np.array(x[:29]), u.v_cmd, self.dt / _SUBSTEPS
+        z, v, h = np.array(x[:29]), u.v_cmd, self.dt / self.substeps
         z[2] = delta_sw / float(p.steer_ratio)
-        for _ in range(_SUBSTEPS):
+        for _ in range(self.substeps):
             k1 = self._slope(z, v)
             k2 = self._slope(z + 0.5 * h * k1, v)
             k3 = self._slope(z + 0.5 * h * k2, v)

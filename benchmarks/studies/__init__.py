@@ -1,11 +1,10 @@
 """Single measurements, each a module here, all called alike: `python -m benchmarks study NAME [--quick] [--json] ...`.
 
-A study module has a docstring, whose first line says what it measures, and two functions:
+A study module has a docstring, whose first line says what it measures, and these functions:
 
-    add_options(parser)          its own command line options, beside --quick and --json
     measure(options) -> dict     measures, prints tables for people, returns its figures
-
-and, if it compares what may differ, `objection(figures) -> str`, which says why its figures do not count, or nothing.
+    add_options(parser)          its own command line options, beside --quick and --json, if it has any
+    objection(figures) -> str    why its figures do not count, or nothing, if it compares what may differ
 `--quick` is a form that takes seconds: it shows that a study runs, not what it measures.
 """
 
@@ -54,7 +53,8 @@ def parser_of(name: str, study: ModuleType) -> argparse.ArgumentParser:
     )
     parser.add_argument("--quick", action="store_true", help="a form that takes seconds: not a measurement")
     parser.add_argument("--json", action="store_true", help="print one JSON object as the last line")
-    study.add_options(parser)
+    if hasattr(study, "add_options"):
+        study.add_options(parser)
     return parser
 
 

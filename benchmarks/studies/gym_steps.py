@@ -67,14 +67,19 @@ def rate(
     return done / (clock() - begin)
 
 
-def on_the_wall(cars: int, task: dict[str, Any], *, quick: bool) -> dict[str, float]:
-    """Steps a second of all cores: by name, the best of turns."""
-    ways = {"vector": many(cars, task | {"backend": "c"}), "SyncVectorEnv": many(cars, task | SYNC)}
+def best_of(ways: dict[str, Callable[[int], int]], turns: int, *how: Any) -> dict[str, float]:
+    """The best `rate` of each way, in turns: others use this machine too."""
     best = dict.fromkeys(ways, 0.0)
-    for _ in range(1 if quick else 12):
+    for _ in range(turns):
         for name, run in ways.items():
-            best[name] = max(best[name], rate(run, 0.02 if quick else 0.3, 20 * cars, time.perf_counter))
+            best[name] = max(best[name], rate(run, *how))
     return best
+
+
+def on_the_wall(cars: int, task: dict[str, Any], *, quick: bool) -> dict[str, float]:
+    """Steps a second of all cores, by name."""
+    ways = {"vector": many(cars, task | {"backend": "c"}), "SyncVectorEnv": many(cars, task | SYNC)}
+    return best_of(ways, 1 if quick else 12, 0.02 if quick else 0.3, 20 * cars, time.perf_counter)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -99,10 +104,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         ways[f"{cars} cars, SyncVectorEnv"] = many(cars, task | SYNC)
         for backend in backends:
             ways[f"{cars} cars, {backend}"] = many(cars, task | {"backend": backend})
-    best = dict.fromkeys(ways, 0.0)
-    for _ in range(1 if options.quick else 6):  # in turns, the best of each: others use this machine too
-        for name, run in ways.items():
-            best[name] = max(best[name], rate(run, 0.05 if options.quick else 0.2))
+    best = best_of(ways, 1 if options.quick else 6, 0.05 if options.quick else 0.2)
     result: dict[str, Any] = {"conditions": options.conditions, "steps_per_cpu_second": best}
     print("env steps a second of CPU time")
     for name, value in best.items():

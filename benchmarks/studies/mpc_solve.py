@@ -133,10 +133,6 @@ def measured(samples: int) -> dict[str, Any]:
     return figures
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """It has no options of its own; --quick takes 50 samples."""
-
-
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure and print every figure beside what was asked for."""
     figures = measured(TURN if options.quick else SAMPLES)

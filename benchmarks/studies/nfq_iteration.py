@@ -167,10 +167,6 @@ def figures(quick: bool) -> dict[str, Any]:
     return numbers | {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """It has no options of its own; --quick takes 500 transitions."""
-
-
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure and print."""
     numbers = figures(options.quick)

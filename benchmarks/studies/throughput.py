@@ -118,10 +118,6 @@ def ratios_to(rates: dict[str, list[float]], base: str) -> dict[str, float]:
     return {name: statistics.median(a / b for a, b in zip(values, rates[base])) for name, values in rates.items()}
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """It has no options of its own; --quick takes fewer turns and smaller runs."""
-
-
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure, and print the tables."""
     warnings.filterwarnings("ignore", message="Unused output")

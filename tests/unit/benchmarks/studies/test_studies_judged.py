@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.run.fleet import of_fleet
-from benchmarks.studies import foreign, learning, throughput
+from benchmarks.studies import foreign, learning, safety, throughput
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import setting
 from steerkit.task import DT
@@ -127,3 +127,20 @@ def test_the_worst_change_and_the_widest_spread_count() -> None:
     assert foreign.adaptive_figures(drives[:4])["adaptive_spread"] == pytest.approx(1.5)
     assert foreign.adaptive_figures(drives)["adaptive_spread"] == math.inf
     assert foreign.adaptive_figures(drives[:1]) == {}, "half a pair"
+
+
+def test_a_departure_of_a_learner_with_the_filter_is_counted() -> None:
+    found = dict(max_e=0.2, good=5.0, failures=1, interventions_pct=0.5, final_rms_e=0.011)
+    good_run: dict[str, Any] = dict(car="single track", seed=0, minutes=3.0, safe=True, code="a", **found)
+    left = good_run | dict(seed=1, max_e=0.51, good=None, interventions_pct=2.5)
+    unknown = good_run | dict(seed=2, max_e=math.nan, final_rms_e=0.5)
+    free = good_run | dict(safe=False, max_e=3.0, good=None, final_rms_e=0.010)
+    report = safety.summarise([good_run, left, unknown, free])
+    assert (report["runs"], report["runs_without"]) == (3, 1)
+    assert (report["departures"], report["departures_without"]) == (2, 1)
+    assert (report["good_median_s"], report["good_worst_s"]) == (5.0, math.inf)
+    assert (report["interventions_pct"], report["interventions_above_2_pct"]) == (2.5, 1)
+    assert report["interventions_mean_pct"] == pytest.approx(3.5 / 3)
+    assert report["final_rms_x"] == pytest.approx(1.1)
+    assert report["codes"] == 1
+    assert math.isnan(safety.summarise([])["final_rms_x"])
