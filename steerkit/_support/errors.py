@@ -4,7 +4,7 @@ import dataclasses
 import difflib
 import importlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from numbers import Integral
 from typing import Any
 
@@ -103,6 +103,39 @@ def check_numbers(of: Any, where: str) -> None:
             whole = f.type not in ("int", int) or isinstance(value, Integral)
             require(whole, where, f"{f.name} = {value!r}, expected a whole number")
             require_within(where, f.name, value, unit, low, high, above=above)
+
+
+_HELD = {float: "a number", int: "a whole number", str: "a text", bool: "true or false", tuple[float, ...]: "numbers"}
+"""What a field of that annotation holds, as an error calls it."""
+
+
+def made_of(kind: Any, table: Any, where: str) -> Any:
+    """The dataclass object whose fields stand in a table of a file; what is left out takes its default.
+
+    Raises ValueError, in the name of `where`, for what is no table, an unknown key, a value of another type than its
+    field's, a key that is lacking, and what the class refuses.
+    """
+    require(isinstance(table, Mapping), where, f"{table!r:.60}, expected a table")
+    valid = {f.name: f for f in dataclasses.fields(kind)}
+    values = {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
+    for key, value in values.items():
+        require(key in valid, where, f"no key '{key}'{nearest(key, valid)}; valid: {', '.join(valid)}")
+        wanted: Any = valid[key].type
+        if wanted in _HELD:
+            require(_holds(wanted, value), where, f"{key} = {value!r:.60}, expected {_HELD[wanted]}")
+    try:
+        return kind(**values)
+    except TypeError as error:
+        lacking = [key for key, f in valid.items() if key not in table and f.default is f.default_factory]
+        raise ValueError(f"{where}: lacks {', '.join(lacking) or error}") from error
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
+
+
+def _holds(wanted: Any, value: Any) -> bool:
+    if wanted == tuple[float, ...]:
+        return isinstance(value, tuple) and all(_holds(float, one) for one in value)
+    return isinstance(value, _PLAIN if wanted is float else wanted) and (wanted is bool or not isinstance(value, bool))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

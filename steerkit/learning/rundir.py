@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
-from steerkit._support.errors import require
+from steerkit._support.errors import made_of, require
 from steerkit._support.files import read_bytes, write_text
 from steerkit._support.plugins import fingerprints, imported, is_outside, name_of, named_in
 from steerkit.controllers.nfq_policy import NfqPolicy
@@ -126,24 +126,9 @@ def from_plain(data: Any, where: str, default: type | None = None) -> Any:
         return of_table(data, where, kind)
     require(default is None or default is costs.TanhCost or issubclass(kind, default), where, f"is a {name}")
     inside = {"setting": Setting, "scenario": Scenario, "fit": FitSetting, "cost": costs.TanhCost}
-    valid = [f.name for f in fields(kind)]
-    for key in data:
-        require(key in ("kind", *valid), where, f"{name} has no field '{key}'; valid: {', '.join(valid)}")
-    values = {k: from_plain(v, f"{where}.{k}", inside.get(k)) for k, v in data.items() if k != "kind"}
-    for f in fields(kind):
-        value = values.get(f.name, f.default)
-        numbers = not isinstance(value, tuple) or all(isinstance(one, (float, int)) for one in value)
-        types, expected = _PLAIN.get(f.type, (object, "numbers"))
-        ok = f.name not in values or (isinstance(value, types) and numbers)
-        require(ok, where, f"{f.name} = {value!r:.50}, expected {expected}")
-    try:
-        return kind(**values)
-    except TypeError as error:
-        raise ValueError(f"{where}: {error}") from error
-
-
-_PLAIN: dict[Any, Any] = {float: ((float, int), "a number"), int: (int, "a whole number"), str: (str, "a text")}
-_PLAIN |= {bool: (bool, "true or false"), tuple[float, ...]: (tuple, "numbers")}
+    valid, own = {f.name for f in fields(kind)}, {k: v for k, v in data.items() if k != "kind"}
+    values = {k: from_plain(v, f"{where}.{k}", inside.get(k)) if k in valid else v for k, v in own.items()}
+    return made_of(kind, values, where)
 
 
 def keep_in(run: LearningRun, place: FilePath) -> None:

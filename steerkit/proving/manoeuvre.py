@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import check_numbers, known, nearest, number, require
+from steerkit._support.errors import check_numbers, known, made_of, number, require
 from steerkit._support.files import read_toml
 from steerkit.controllers.open_loop import OpenLoop
 from steerkit.diagram.block import Block
@@ -267,16 +267,16 @@ _PARTS: Mapping[str, Any] = {"input": Input, "conditions": Conditions, "abort": 
 def manoeuvre_of(data: Mapping[str, Any], name: str) -> Manoeuvre:
     """The manoeuvre in the tables of a TOML file; raises ValueError naming what is wrong, and what is valid."""
     where = f"manoeuvre '{name}'"
-    parts = {part: _made(kind, data[part], f"{where}: [{part}]") for part, kind in _PARTS.items() if part in data}
+    parts = {part: made_of(kind, data[part], f"{where}: [{part}]") for part, kind in _PARTS.items() if part in data}
     limits, sources = tuple(limits_of(data.get("limit", []), where)), dict(data.get("sources", {}))
     own = {key: value for key, value in data.items() if key != "limit"}
-    return _made(Manoeuvre, own | parts | {"name": name, "limits": limits, "sources": sources}, where)
+    return made_of(Manoeuvre, own | parts | {"name": name, "limits": limits, "sources": sources}, where)
 
 
 def limits_of(rows: Any, where: str) -> list[Limit]:
     """Tables `[[limit]]` with quantity, low, high, source; raises ValueError."""
     require(isinstance(rows, list), where, "limit, expected tables [[limit]] with quantity, low, high, source")
-    return [_made(Limit, row, f"{where}: [[limit]]") for row in rows]
+    return [made_of(Limit, row, f"{where}: [[limit]]") for row in rows]
 
 
 def read_limits(file: str | FilePath) -> list[Limit]:
@@ -284,25 +284,6 @@ def read_limits(file: str | FilePath) -> list[Limit]:
     found = limits_of(read_toml(file, f"{file}").get("limit", []), f"{file}")
     require(found, f"{file}", "no table [[limit]] in it; expected quantity, low or high, source")
     return found
-
-
-def _made(kind: Any, table: Any, where: str) -> Any:
-    require(isinstance(table, Mapping), where, f"{table!r:.60}, expected a table")
-    valid = kind.__dataclass_fields__
-    for key, value in table.items():
-        require(key in valid, where, f"no key '{key}'{nearest(key, valid)}; valid: {', '.join(valid)}")
-        wanted = valid[key].type
-        if wanted in (float, str, int):
-            fits = isinstance(value, (int, float) if wanted is float else wanted) and not isinstance(value, bool)
-            require(fits, where, f"{key} = {value!r:.60}, expected {wanted.__name__}")
-    lists = {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
-    try:
-        return kind(**lists)
-    except TypeError as error:
-        lacking = [key for key, f in valid.items() if key not in table and f.default is f.default_factory]
-        raise ValueError(f"{where}: lacks {', '.join(lacking) or error}") from error
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from error
 
 
 @cache

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import nearest, require, require_within
+from steerkit._support.errors import made_of, nearest, require, require_within
 from steerkit._support.files import read_text, toml_of
 from steerkit._support.random import seed_state, uniform
 from steerkit.diagram.maths import Scalar
@@ -168,16 +168,10 @@ _REMARKS = {
 def vehicle_of(text: str, where: str) -> Vehicle:
     """The car in the text of a vehicle file; raises ValueError naming `where`, the key and what is valid."""
     table = table_of(text, "vehicle", where)
-    valid = {f.name for f in dataclasses.fields(Vehicle)}
-    needed = {f.name for f in dataclasses.fields(Vehicle) if f.default is dataclasses.MISSING}
-    for verb, keys in (("lacks", needed - table.keys()), ("has the unknown key", table.keys() - valid)):
-        require(not keys, where, f"[vehicle] {verb} {', '.join(sorted(keys))}; it holds {', '.join(sorted(valid))}")
     odd = [key for key, value in table.items() if key != "name" and type(value) not in (int, float)]
     require(not odd, where, f"[vehicle] {', '.join(odd)}, expected numbers")
-    try:
-        return Vehicle(**table)
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{where}: {error}") from error
+    made: Vehicle = made_of(Vehicle, table, f"{where}: [vehicle]")
+    return made
 
 
 def vehicle_text(car: Vehicle, **more: Mapping[str, Any] | None) -> str:

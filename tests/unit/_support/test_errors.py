@@ -8,7 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit._support.errors import check_numbers, known, number, optional, require, require_within, whole_samples
+from steerkit._support.errors import (
+    check_numbers,
+    known,
+    made_of,
+    number,
+    optional,
+    require,
+    require_within,
+    whole_samples,
+)
 
 NAMES = ("stanley", "pure-pursuit", "lqr")
 
@@ -115,3 +124,44 @@ def test_a_delay_is_a_number_of_samples(delay: float, dt: float, samples: int) -
 def test_a_delay_between_two_samples_is_an_error(delay: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         whole_samples("Block", "delay", delay, 0.01)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A field of each type that a file may hold."""
+
+    name: str
+    size: float = 1.0
+    count: int = 1
+    on: bool = False
+    levels: tuple[float, ...] = ()
+    rest: Any = None
+
+    def __post_init__(self) -> None:
+        require(self.size > 0.0, "row", f"size = {self.size}")
+
+
+def test_a_table_of_a_file_becomes_an_object() -> None:
+    table = {"name": "a", "size": 2, "on": True, "levels": [1, 0.5], "rest": [1]}
+    assert made_of(Row, table, "f.toml") == Row("a", 2.0, 1, True, (1, 0.5), (1,))
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ([], r"^f\.toml: \[\], expected a table$"),
+        ({"name": "a", "sizes": 1.0}, r"^f\.toml: no key 'sizes' \(did you mean 'size'\?\); valid: name, size, count"),
+        ({"name": 1}, "^f.toml: name = 1, expected a text$"),
+        ({"name": "a", "size": True}, "size = True, expected a number$"),
+        ({"name": "a", "count": 1.0}, "count = 1.0, expected a whole number$"),
+        ({"name": "a", "count": True}, "count = True, expected a whole number$"),
+        ({"name": "a", "on": 1}, "on = 1, expected true or false$"),
+        ({"name": "a", "levels": 1.0}, "levels = 1.0, expected numbers$"),
+        ({"name": "a", "levels": [1.0, "b"]}, r"levels = \(1\.0, 'b'\), expected numbers$"),
+        ({"size": 1.0}, "^f.toml: lacks name$"),
+        ({"name": "a", "size": -1.0}, r"^f\.toml: row: size = -1\.0$"),
+    ],
+)
+def test_a_mistake_in_a_table_is_named(table: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        made_of(Row, table, "f.toml")

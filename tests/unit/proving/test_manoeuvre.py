@@ -123,9 +123,9 @@ a_y = 1.0
     [
         ("[conditions]\nspeed = 3.0", "no key 'speed'.*valid: v, v_tolerance"),
         ("[conditions]\nv = -3.0", r"v = -3.0 \[m/s\]"),
-        ("[conditions]\nv = true", "v = True, expected float"),
+        ("[conditions]\nv = true", "v = True, expected a number"),
         ("[conditions]\nv = nan", "v = nan"),
-        ("[abort]\na_y = 'much'", "a_y = 'much', expected float"),
+        ("[abort]\na_y = 'much'", "a_y = 'much', expected a number"),
         ("course = 'straight'", r"either \[input\] or a course"),
         ("[[limit]]\nquantity = 'x'", "low = -inf, high = inf"),
         ("[[limit]]\nhigh = 1.0", "lacks quantity"),
@@ -148,7 +148,7 @@ def test_a_mistake_in_a_file_is_named(more: str, said: str) -> None:
         ('title = "T"', "", "lacks title"),
         ('"T"', '"T"\nsides = ["up"]', "side 'up'"),
         ('"T"', '"T"\nrepeats = 0', "repeats = 0"),
-        ('"T"', '"T"\nrepeats = 1.5', "repeats = 1.5, expected int"),
+        ('"T"', '"T"\nrepeats = 1.5', "repeats = 1.5, expected a whole number"),
     ],
 )
 def test_so_is_one_in_its_words(old: str, new: str, said: str) -> None:

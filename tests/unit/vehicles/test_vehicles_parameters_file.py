@@ -13,8 +13,10 @@ from tests.support.recorded_cars import BASE
     [
         ("x = ", "not TOML"),
         ('format = "steerkit vehicle 1"', r"no table \[vehicle\]"),
-        (vehicle_text(BASE).replace("c_f", "c_g"), "lacks c_f"),
-        (vehicle_text(BASE) + "wings = 2.0\n", "unknown key wings"),
+        (vehicle_text(BASE).replace("c_f", "# c_f"), r"\[vehicle\]: lacks c_f"),
+        (vehicle_text(BASE).replace("c_f", "c_g"), r"\[vehicle\]: no key 'c_g' \(did you mean 'c_r'\?\)"),
+        (vehicle_text(BASE) + "wings = 2.0\n", "no key 'wings'"),
+        (vehicle_text(BASE).replace("m = 1639.0", "m = [1639.0]"), "m, expected numbers"),
         (vehicle_text(BASE).replace("m = 1639.0", "m = -1.0"), r"m = -1.0 \[kg\]"),
     ],
 )
