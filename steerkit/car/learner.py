@@ -32,7 +32,7 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.realtime import Run, run
 from steerkit.learning import rundir
 from steerkit.learning.data.store import TransitionStore
-from steerkit.learning.learner_state import LearnerState, state_signals, untrained
+from steerkit.learning.learner_state import LearnerState, untrained
 from steerkit.learning.nfq.iterate import NOTHING_LEARNED, Learned
 from steerkit.learning.rundir import held, is_free
 from steerkit.learning.settings import Setting
@@ -92,24 +92,25 @@ class CarLearner(contextlib.ExitStack):
                 learned=Learned(policy.nets or (), policy.forecast) if net else NOTHING_LEARNED
             )
             self.callback(self.trainer.close)
+            design_model = design_model_of(config)
             self.learner_state = LearnerState(
                 setting=setting,
                 seed=seed,
                 policy=policy,
                 net=net,
                 trainer=self.trainer,
+                element=setting.element(design_model.vehicle),
                 transitions=self.store.transitions(),
                 also=self.store.append,
             )
-            design_model = design_model_of(config)
-            self._element, self._believed, self._variant = setting.element(design_model.vehicle), design_model.delay, ""
+            self._believed, self._variant = design_model.delay, ""
             how: dict[str, Any] = {"recovery": self.recovery, "safe": setting.safe, "clock": clock}
             resting = replace(policy, ready_from=math.inf)
-            self._idle = car_loop(config, self.link, resting, doe=self._element, **how)
+            self._idle = car_loop(config, self.link, resting, doe=self.learner_state.element, **how)
             self.filter_faults: Counter[str] = Counter()
             """What went wrong in the safety filter, and how often."""
             self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy))
-            self._inputs = state_signals(setting, self._idle.inputs_of("controller"))
+            self.learner_state.wire(self._idle.inputs_of("controller"))
             stack.pop_all()
 
     def run(self, duration: float, *, clock: Clock | None = None, watch: Callable[[Run], bool] | None = None) -> Run:
@@ -133,33 +134,19 @@ class CarLearner(contextlib.ExitStack):
         if self.follow.begin(live):
             learner_state.forget()
         engaged, t, sample = self.follow.engaged, live.k * self._idle.dt, live.sample
-        state = {name: sample[signal] for name, signal in self._inputs.items()}
         learning = engaged and sample["supervisor.learning"] > 0.5
         fault = engaged and sample["supervisor.fault"] > 0.5  # a NaN, or an exception in the policy
         given_up = self.setting.safe and self._filtered(live, learning=learning, engaged=engaged)
-        ended = learner_state.sample(
-            live.k,
-            t,
-            list(state.values()),
-            learner_state.action(sample.__getitem__, self._element),
-            learning=learning,
-            failed=fault or (engaged and sample["supervisor.tripped"] > 0.5),
-            progress=sample["path.progress"],
-            e=sample["path.e"],
-            engaged=engaged,
-        )
-        seen = {"e": state["e"], "e_dot": state["e_dot"], "within": sample["supervisor.within"]}
-        if not engaged:
-            learner_state.counts.recovery = None  # the human steers
-        elif not learning:
-            learner_state.recovering(t, **seen)
+        failed = fault or (engaged and sample["supervisor.tripped"] > 0.5)
+        how: dict[str, bool] = {"learning": learning, "failed": failed, "engaged": engaged}
+        ended = learner_state.sample(live.k, t, sample.__getitem__, **how)
         if given_up:
             learner_state.counts.ended(t, failed=True)
         if given_up or (ended and ended.failed) or (fault and learner_state.trusted):
             learner_state.train(t, trusted=False)
         elif learning and learner_state.due():
             learner_state.train(t, trusted=True)
-        result = learner_state.take_over(t, **seen)
+        result = learner_state.take_over(t, **learner_state.seen(sample.__getitem__))
         taken = result is not None and result.number == learner_state.net
         late = self.setting.safe and learner_state.arrives(sample["safety.late"], self._believed)
         if taken:

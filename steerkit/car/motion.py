@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import check_numbers, number
+from steerkit._support.errors import Checked, number
 from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.estimators.estimate import Estimated
 from steerkit.vehicles.rollout import Rollout
@@ -64,7 +64,7 @@ _X, _Y, _WAY, _TURN, _SLIDE, _BY_WHEEL, _BY_UNDERSTEER, _GYRO, _SPEED, _HEADED, 
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionLimits:
+class MotionLimits(Checked):
     """How good sensors and data sheet are: what the witness may not take for a fault.
 
     Those of a sensor's noise and of what is not known are standard deviations.
@@ -90,9 +90,6 @@ class MotionLimits:
     """Zero of the wheel's angle [rad]; a calibrated car's vehicle file has its own."""
     turn_wander: float = number(radians_of(0.05), "rad", low=radians_of(0.01), high=radians_of(0.3))
     """By how much wind, a banked road and play turn the car over a metre; over n of them sqrt(n) as much [rad]."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "MotionLimits")
 
 
 class MotionCheck:

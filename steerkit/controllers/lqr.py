@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import check_numbers, number, require
+from steerkit._support.errors import Checked, number, require
 from steerkit.controllers.limits import LimitedLaw, limited
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
@@ -49,7 +49,7 @@ def _solution(a: bytes, b: bytes, q: bytes, r: float) -> bytes:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LqrDesign:
+class LqrDesign(Checked):
     """What an `Lqr` is designed for: the car, its steering, and what errors cost.
 
     cost, a sample: (e/e_size)^2 + (e'/e_dot_size)^2 + (step/step_size)^2, step = change of the road-wheel command.
@@ -71,9 +71,6 @@ class LqrDesign:
     """Change of the road-wheel angle in a sample that costs 1 [rad]."""
     dt: float = number(DT, "s", above=0.0)
     """Sample time [s]."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "LqrDesign")
 
     @property
     def waiting(self) -> int:

@@ -10,7 +10,7 @@ from steerkit.controllers.safety_filter import doubted
 from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Recorder
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.learner_state import Counts, LearnerState, state_signals, untrained
+from steerkit.learning.learner_state import Counts, LearnerState, untrained
 from steerkit.learning.settings import Setting
 from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.scenario import END_MARGIN, Scenario
@@ -89,6 +89,7 @@ class LearningRun:
             seed=experiment.seed,
             policy=untrained(setting, experiment.seed),
             trainer=self.trainer,
+            element=setting.element(scenario.nominal),
             round_length=scenario.round_length,
         )
         safety = make_safety(scenario.design_model()) if setting.safe else None
@@ -96,7 +97,7 @@ class LearningRun:
         self.loop = assembled(
             scenario,
             self.policy,
-            doe=setting.element(scenario.nominal),
+            doe=self.learner_state.element,
             recovery=scenario.recovery_controller(),
             safety=safety,
             seed=experiment.seed,
@@ -104,9 +105,8 @@ class LearningRun:
         start = self.loop.init()
         self.x, self.y = list[Any](start.x), list[Any](start.y)
         self.ticks = round(self.policy.dt / self.loop.dt)
-        self._inputs = state_signals(setting, self.loop.inputs_of("controller"))
+        self.learner_state.wire(self.loop.inputs_of("controller"))
         self.safe = setting.safe
-        self._element = setting.element(scenario.nominal)
         self.doubted = ""
         """What the safety filter found of the car beyond its doubts."""
         self.recorder = Recorder(self.loop, SIGNALS + SAFETY_SIGNALS * self.safe)
@@ -158,23 +158,14 @@ class LearningRun:
                 self.steer()
         if self.each is not None:
             self.each(sample)
-        learning, rounds = self._value("supervisor.learning") > 0.5, counts.rounds
-        ended = learner_state.sample(
-            counts.k // self.ticks,
-            self.t,
-            self._state(),
-            learner_state.action(self._value, self._element),
-            learning=learning,
-            failed=not learning,
-            progress=self._value("path.progress"),
-            e=self._value("path.e"),
-        )
+        self._require_finite()
+        learning, rounds, stuck = self._value("supervisor.learning") > 0.5, counts.rounds, len(counts.stuck)
+        number = counts.k // self.ticks
+        ended = learner_state.sample(number, self.t, self._value, learning=learning, failed=not learning)
         if counts.rounds > rounds:
             self._tell("round")
-        if not learning:
-            e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
-            if learner_state.recovering(self.t, e=e, e_dot=e_dot, within=self._value("supervisor.within")):
-                self._tell("stuck")
+        if len(counts.stuck) > stuck:
+            self._tell("stuck")
         for k in range(counts.k + 1, counts.k + self.ticks):
             self.loop.advance(k, self.x, self.y)
         counts.k += self.ticks
@@ -198,8 +189,7 @@ class LearningRun:
             self._tell("second")
 
     def _take_over(self) -> None:
-        e, e_dot = (self._value(self._inputs[name]) for name in ("e", "e_dot"))
-        result = self.learner_state.take_over(self.t, e=e, e_dot=e_dot, within=self._value("supervisor.within"))
+        result = self.learner_state.take_over(self.t, **self.learner_state.seen(self._value))
         if result is None:
             return
         taken = self.learner_state.net == result.number
@@ -227,12 +217,11 @@ class LearningRun:
         self.learner_state.relocated(self.t)
         self._signs = SignCheck(self.experiment.scenario, loop, self.policy.dt)
 
-    def _state(self) -> tuple[float, ...]:
-        s = tuple([self._value(signal) for signal in self._inputs.values()])
+    def _require_finite(self) -> None:
+        s = self.learner_state.state(self._value)
         if not all(map(math.isfinite, s)):
-            values = ", ".join(f"{name} = {value:g}" for name, value in zip(self._inputs, s, strict=True))
+            values = ", ".join(f"{name} = {value:g}" for name, value in zip(self.learner_state.names, s, strict=True))
             raise ValueError(f"LearningRun: at {self.t:.2f} s the learner's state is {values}; expected finite numbers")
-        return s
 
     def _value(self, signal: str) -> float:
         i, j = self.loop.locate(signal)

@@ -1,7 +1,7 @@
 """A learner in simulation or on a car: what is recorded and counted, when it trains, and who may steer."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -173,6 +173,8 @@ class Counts:
 
 
 State = tuple[float, ...]
+Value = Callable[[str], float]
+"""Gives the value of a signal of the loop, by its name."""
 Keep = Callable[[State, float, State, int, bool], object]
 """Takes a transition: s, a, s_next, number of the episode, whether the learner steered."""
 
@@ -205,21 +207,12 @@ def untrained(setting: Setting, seed: int) -> NfqPolicy:
     )
 
 
-def state_signals(setting: Setting, inputs: Mapping[str, str]) -> dict[str, str]:
-    """Recorded column -> signal of the loop, from those that drive a policy's inputs (`Loop.inputs_of`).
-
-    The path's curvature is the first of the policy's preview.
-    """
-    known = {**inputs, "kappa": inputs["preview"].replace(".preview", ".kappa") if "preview" in inputs else ""}
-    return {name: known[name] for name in setting.recorded()}
-
-
 class LearnerState:
     """What a learner has recorded and counted, when it trains, and whether it may steer; updated after each sample.
 
     setting: how it learns. seed: of the nets. policy: to begin with, and `net` its number. trainer: makes new policies
-    of what was recorded. transitions: recorded before (default: none). also: a second place that takes every
-    transition, such as a store on disk. round_length: of a round of the course [m].
+    of what was recorded. element: the output element. transitions: recorded before (default: none). also: a second
+    place that takes every transition, such as a store on disk. round_length: of a round of the course [m].
 
     A policy is trusted until it fails; then the recovery controller keeps the wheel until a newer one takes over, when
     the car is calm. It is trained at each failure (`train`) and, while it drives, when it is `due`; new policies
@@ -234,13 +227,16 @@ class LearnerState:
         seed: int,
         policy: Any,
         trainer: Training,
+        element: OutputElement,
         net: int = 0,
         transitions: Transitions | None = None,
         also: Keep | None = None,
         round_length: float = math.inf,
     ):
-        self.setting, self.seed, self.trainer = setting, seed, trainer
+        self.setting, self.seed, self.trainer, self.element = setting, seed, trainer, element
         self.names = setting.recorded()
+        self.signals: dict[str, str] = {}
+        """The signal of the loop for each of them."""
         self.policy, self.net, self.trusted = policy, net, True
         self.transitions = Transitions(self.names) if transitions is None else transitions
         self.counts = Counts(updates=net)
@@ -248,7 +244,7 @@ class LearnerState:
         """What the next sample completes to a transition."""
         self.faults: list[str] = []
         """What went wrong in training."""
-        self._also, self._round_length, self._element = also, round_length, setting.element()
+        self._also, self._round_length = also, round_length
         self._largest = max(map(abs, setting.actions))
 
     @property
@@ -256,18 +252,16 @@ class LearnerState:
         """The policy for the loop: one that is not trusted never reports ready."""
         return self.policy if self.trusted else replace(self.policy, ready_from=math.inf)
 
+    def wire(self, inputs: Mapping[str, str]) -> None:
+        """Take note of the signals that drive the policy's inputs (`Loop.inputs_of`): the state is read off these.
+
+        The path's curvature is the first of the policy's preview.
+        """
+        known = {**inputs, "kappa": inputs["preview"].replace(".preview", ".kappa") if "preview" in inputs else ""}
+        self.signals = {name: known[name] for name in self.names}
+
     def sample(
-        self,
-        number: int,
-        t: float,
-        s: Sequence[float],
-        action: float,
-        *,
-        learning: bool,
-        failed: bool,
-        progress: float,
-        e: float,
-        engaged: bool = True,
+        self, number: int, t: float, value: Value, *, learning: bool, failed: bool, engaged: bool = True
     ) -> Episode | None:
         """Record and count sample `number`, at driving time t [s]; returns the episode that ended with it.
 
@@ -275,13 +269,13 @@ class LearnerState:
         that steered in the first of them: the sample in which the recovery controller takes over ends one and never
         begins one. Nothing is recorded across a missing sample, or after `forget`; samples that are not finite are left
         out, and so is what another did with a larger action than the learner has. A new episode of the record begins at
-        each such break, and where the learner takes over.
+        each such break, and where the learner takes over. Where another steers, the action is what the output element
+        would have needed for the angle that came of it; while recovery steers, it is `recovering`.
 
-        s: the learner's state (SI), of the columns `names`. action: its wish [rad]; where another steers, the action is
-        what the output element would have needed for the angle that came of it. learning: does it steer? failed: if
-        not, did recovery take over? progress: along the path [m]. e: cross-track error [m], which its state may hold
-        with noise. engaged: does learner or recovery steer, and no human?
+        learning: does it steer? failed: if not, did recovery take over? engaged: does learner or recovery steer, and no
+        human?
         """
+        s, action = self.state(value), self._action(value)
         sound = all(map(math.isfinite, s))
         before = self._completed(number, s) if sound else None
         models = engaged and not learning and self.setting.models_recovery and abs(s[PSI_E]) < TURNED
@@ -291,23 +285,38 @@ class LearnerState:
                 episode = before.episode
             else:
                 episode = int(self.transitions.episode[-1]) + 1 if len(self.transitions) else 1
-            self.before = Before(number, tuple(s), action if learning else 0.0, episode, learning)
-        if not learning:
-            return self.counts.ended(t, failed=failed)
-        self.counts.steered(t, progress=progress, e=e, round_length=self._round_length)
-        return None
+            self.before = Before(number, s, action if learning else 0.0, episode, learning)
+        if learning:
+            progress, e = value("path.progress"), value("path.e")  # that in the state may have noise
+            self.counts.steered(t, progress=progress, e=e, round_length=self._round_length)
+            return None
+        ended = self.counts.ended(t, failed=failed)
+        if engaged:
+            self.recovering(t, **self.seen(value))
+        else:
+            self.counts.recovery = None  # the human steers
+        return ended
 
-    def _completed(self, number: int, s: Sequence[float]) -> Before | None:
+    def state(self, value: Value) -> State:
+        """The learner's state (SI), of the columns `names`."""
+        return tuple([value(signal) for signal in self.signals.values()])
+
+    def seen(self, value: Value) -> dict[str, float]:
+        """What `take_over` and `recovering` go by."""
+        e, e_dot = (value(self.signals[name]) for name in ("e", "e_dot"))
+        return {"e": e, "e_dot": e_dot, "within": value("supervisor.within")}
+
+    def _completed(self, number: int, s: State) -> Before | None:
         """Record the transition that sample `number`, in state s, completes; its first half, if there is one."""
         before = self.before
         if before is None or before.number != number - 1:
             return None
         action = before.action
         if not before.own:
-            action = self._element.action_for(s[DOE], before.s[DOE])
+            action = self.element.action_for(s[DOE], before.s[DOE])
             if abs(action) > self._largest:
                 return None  # the motor may not follow, and that looks like dead time
-        row = (before.s, action, tuple(s), before.episode, before.own)
+        row = (before.s, action, s, before.episode, before.own)
         self.transitions.append(*row)
         if self._also is not None:
             self._also(*row)
@@ -329,15 +338,11 @@ class LearnerState:
         counts.corrected += share > 0.0
         return counts.corrected * self.policy.dt >= setting.corrected_seconds
 
-    def action(self, value: Callable[[str], float], element: OutputElement) -> float:
-        """The action [rad] to record: where the filter changed the angle, the one that makes what was sent.
-
-        value: of a signal of the loop. element: the output element.
-        """
-        setting, action = self.setting, value("controller.action")
-        if not setting.safe or value("safety.correction") == 0.0:
-            return action
-        return element.action_for(value("safety.delta_sw"), value("doe.state"))
+    def _action(self, value: Value) -> float:
+        """The learner's action [rad]: where the filter changed the angle, the one that makes what was sent."""
+        if not self.setting.safe or value("safety.correction") == 0.0:
+            return value("controller.action")
+        return self.element.action_for(value("safety.delta_sw"), value("doe.state"))
 
     def due(self) -> bool:
         """Is it time to train anew while driving on?"""

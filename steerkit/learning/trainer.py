@@ -14,8 +14,9 @@ import time
 from collections import deque
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from steerkit._support.errors import require, require_within
 from steerkit.controllers.delay_compensator import DelayCompensator
@@ -106,7 +107,7 @@ class SimulatedTrainer:
         return self.pending is None or t >= self.pending[0] - 1e-9
 
 
-class Trainer:
+class Trainer(AbstractContextManager["Trainer"]):
     """Trains in a process of its own, behind the loop in priority; nothing here waits for it.
 
     When the process dies (out of memory, kill -9) or is silent for PATIENCE, it is started again with the same job; the
@@ -216,9 +217,6 @@ class Trainer:
             self._closed = True
             self._process.kill()
             self._pool.shutdown(cancel_futures=True)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from steerkit._support.errors import check_numbers, known, made_of, number, require
+from steerkit._support.errors import Checked, check_numbers, known, made_of, number, require
 from steerkit._support.files import read_toml
 from steerkit.controllers.open_loop import OpenLoop
 from steerkit.diagram.block import Block
@@ -153,7 +153,7 @@ class Limit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Conditions:
+class Conditions(Checked):
     """What must hold before a run begins, and what makes it invalid."""
 
     v: float = number(22.2, "m/s", low=1.0, high=60.0)
@@ -165,12 +165,9 @@ class Conditions:
     r_max: float = number(0.02, "rad/s", low=1e-4, high=1.0)
     """|yaw rate| meanwhile, as a mean [rad/s]."""
 
-    def __post_init__(self) -> None:
-        check_numbers(self, "conditions")
-
 
 @dataclass(frozen=True, kw_only=True)
-class Abort:
+class Abort(Checked):
     """What ends a run at once; besides all that the car's own state machine watches."""
 
     a_y: float = number(8.0, "m/s^2", low=0.1, high=50.0)
@@ -181,9 +178,6 @@ class Abort:
     """|cross-track error|: how far it may lead off a course that a car is on [m]."""
     r: float = number(1.0, "rad/s", low=0.005, high=5.0)
     """|yaw rate| [rad/s]."""
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "abort")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -199,7 +199,7 @@ def test_the_output_element_ends_at_the_stops_of_the_cars_wheel(tmp_path: Path) 
     world = World(s=20.0)
     world.config = replace(world.config, vehicle=replace(world.config.vehicle, delta_sw_max=5.0))
     with learner_of(world, tmp_path / "run") as learner:
-        assert learner._element.limit == learner._idle.blocks["doe"].element.limit == 5.0  # type: ignore[attr-defined]
+        assert learner.learner_state.element.limit == learner._idle.blocks["doe"].element.limit == 5.0  # type: ignore[attr-defined]
 
 
 def test_what_is_for_simulations_stays_there(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ import warnings
 import weakref
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path as FilePath
-from typing import Any, Self
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -134,7 +134,7 @@ PROMISE = 1.0
 """Age of an unwritten row from which the writer complains [s]."""
 
 
-class TransitionStore:
+class TransitionStore(AbstractContextManager["TransitionStore"]):
     """Transitions of a run in a file, to append to while driving.
 
     path: the file. run: label of the run to append to; a missing file is created, that of the same run is continued.
@@ -189,9 +189,6 @@ class TransitionStore:
                 writer.flush(timeout)
             finally:
                 self._end()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

@@ -1,6 +1,7 @@
 """The learner's story: when it is trained, on what, and who may steer; fed to a trainer that a test holds in hand."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
+from steerkit.controllers.policy import COLUMNS
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.learner_state import LearnerState, untrained
 from steerkit.learning.nfq.iterate import FitSetting
@@ -47,13 +49,21 @@ class InHand:
         self.result = Result(self.jobs[-1].number, result.pop("nets", BETTER), 1.5, **result)
 
 
+def sampled(s: Sequence[float], action: float, *, progress: float = 0.0, e: float = 0.0) -> Callable[[str], float]:
+    """A sample of the loop: the learner's state and its action, and where the car truly is."""
+    true = {"path.progress": progress, "path.e": e, "supervisor.within": 0.1, "controller.action": action}
+    return (dict(zip(COLUMNS, s)) | true).__getitem__
+
+
 class Fed:
     """A story, and a car that goes a metre in each sample."""
 
     def __init__(self, **options: Any):
         self.trainer, self.number, self.progress = InHand(), 0, 0.0
         given: dict[str, Any] = {"setting": HOW, "seed": 2, "policy": untrained(HOW, 2), "trainer": self.trainer}
+        given["element"] = HOW.element()
         self.learner_state = LearnerState(**given | options)
+        self.learner_state.wire({name: name for name in COLUMNS})
 
     def drive(
         self, samples: int, *, learning: bool = True, failed: bool = False, psi_e: float = 0.0, engaged: bool = True
@@ -62,9 +72,8 @@ class Fed:
             self.number += 1
             self.progress += 1.0
             s, steers = (0.01 * self.number, 0.0, 5.0, psi_e, 0.0, 0.0), {"learning": learning, "engaged": engaged}
-            ended = self.learner_state.sample(
-                self.number, 0.05 * self.number, s, 0.1, failed=failed, progress=self.progress, e=0.2, **steers
-            )
+            value = sampled(s, 0.1, progress=self.progress, e=0.2)
+            ended = self.learner_state.sample(self.number, 0.05 * self.number, value, failed=failed, **steers)
         return ended
 
     def take_over(self, e: float = 0.0, e_dot: float = 0.0) -> Result | None:
@@ -106,8 +115,8 @@ def test_what_recovery_did_is_told_by_the_wheel_and_left_out_where_no_learner_wo
     """A motor may not follow larger steps than the learner's, of 25 degrees; that would look like dead time."""
     learner_state = Fed(setting=MODELS).learner_state
     for number, doe in enumerate((0.0, 0.2, 0.5, 1.0, 0.9, 0.8)):  # from 0.5 on by 0.5 rad
-        s = (0.0, 0.0, 5.0, 0.0, 0.0, doe)
-        learner_state.sample(number, 0.0, s, math.nan, learning=False, failed=False, progress=0.0, e=0.0)
+        value = sampled((0.0, 0.0, 5.0, 0.0, 0.0, doe), math.nan)
+        learner_state.sample(number, 0.0, value, learning=False, failed=False)
     record = learner_state.transitions
     np.testing.assert_allclose(record.a, [0.2, 0.3, -0.1, -0.1], atol=1e-12)
     assert record.episode.tolist() == [1, 1, 2, 2]
@@ -118,10 +127,9 @@ def test_while_recovery_steers_it_is_trained_every_ten_seconds() -> None:
     for setting, jobs in ((MODELS, 4), (HOW, 1)):
         fed = Fed(setting=setting)
         fed.drive(2)
-        fed.learner_state.train(100.0, trusted=False)
+        fed.learner_state.train(0.1, trusted=False)
         for k in range(1, 800):
             fed.drive(1, learning=False)
-            fed.learner_state.recovering(100.0 + 0.05 * k, e=1.0, e_dot=0.0)
             if k in (150, 250, 500):  # the second training takes 2.5 s, the third 15
                 fed.trainer.done()
         assert len(fed.trainer.jobs) == jobs
@@ -326,8 +334,8 @@ def test_a_transition_is_a_step_of_the_learner(samples: list[tuple[int, bool, fl
     for gap, learning, value, action in samples:
         number += gap
         seen[number] = (learning, value, action)
-        s = (float(number), value, 5.0, 0.0, 0.0, 0.0)
-        learner_state.sample(number, 0.0, s, action, learning=learning, failed=False, progress=0.0, e=0.0)
+        sample = sampled((float(number), value, 5.0, 0.0, 0.0, 0.0), action)
+        learner_state.sample(number, 0.0, sample, learning=learning, failed=False)
     expected = [
         (n, action)
         for n, (learning, value, action) in seen.items()
