@@ -16,6 +16,7 @@ from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import degrees_of
 from steerkit.logs import Drive
 from steerkit.logs.channels import Array
+from steerkit.logs.drive import V_DRIVING
 from steerkit.metrics import largest, rms
 from steerkit.paths.path import Path
 from steerkit.plants.single_track import NonlinearSingleTrack
@@ -31,8 +32,6 @@ _SPACING = 2.0
 """The driven way has a point so often [m]."""
 _SMOOTH = 0.5
 """Yaw rate is averaged over so long, without delay, before a way is made of it [s]."""
-_SLOW = 3.0
-"""Below this speed wheels are turned for parking and standing: not compared [m/s]."""
 _APART = 10.0
 """Places where the two differ most lie so far apart [s]."""
 _KEPT = ("path.e", "actuator.delta_sw", *(f"car.{name}" for name in ("x", "y", "psi", "v", "a_y", "delta_sw")))
@@ -184,7 +183,7 @@ def resimulate(
         v=v,
         driven=driven,
         a_y_driven=v * r,
-        compared=measured & (v >= _SLOW) & (t >= 2.0),
+        compared=measured & (v >= V_DRIVING) & (t >= 2.0),
         log=log,
         path=path,
     )
