@@ -115,9 +115,9 @@ def process_of(
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
-    before: what was found before; a car with overshoot or slew stays while it foresees as well (STAYS), so that nets
-    which follow on each other are of one car. Of a car that has changed, what was recorded before is left out
-    (`since_change`, `since_other_gain`).
+    before: what was found before; a car with overshoot or slew stays while it foresees as well, so that nets which
+    follow on each other are of one car: the record (STAYS), or of a longer one than ROWS the newest half of those
+    (AGREES). Of a car that has changed, what was recorded before is left out (`since_change`, `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
@@ -129,24 +129,25 @@ def process_of(
             record = newest
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
 
-        def found(rows: Transitions) -> tuple[int, Transitions, CarModel]:
+        def found(rows: Transitions, within: float) -> tuple[int, CarModel, bool]:
+            """Dead time and car of some rows, and whether they are those of before."""
             best = dead_time_of(rows, most, description.scaled_from, 0 if before is None else before.samples)
             part = aligned(rows, best)
             model = refined(CarModel.fit(part, description, fast=fast), part)
             model = overshooting(model, part, description, before) if fast else model
             if not fast or before is None or not before.feels or len(rows) < SETTLED:
-                return best, part, model
+                return best, model, False
             old = replace(model, **{name: getattr(before, name) for name in _CAR})
-            of_old = aligned(rows, before.samples)
-            stays = strays_of(old, of_old) <= STAYS * strays_of(model, part)
-            return (before.samples, of_old, old) if stays else (best, part, model)
+            stays = strays_of(old, aligned(rows, before.samples)) <= within * strays_of(model, part)
+            return (before.samples, old, True) if stays else (best, model, False)
 
-        best, part, model = found(most_steered(record) if fast else record)
-        if fast and len(record) > ROWS:  # what was steered most is older: is it of another car?
-            newest = record.part(slice(-ROWS // 2, None))
-            other = found(newest)
-            if strays_of(model, aligned(newest, best)) > AGREES * strays_of(other[2], other[1]):
-                best, _, model = other
+        newest = record.part(slice(-ROWS // 2, None))
+        long = fast and len(record) > ROWS
+        best, model, stays = found(newest, AGREES) if long else found(record, STAYS)
+        if long and not stays:  # what was steered most tells more, but is older: is it of the same car?
+            of_most, car, _ = found(most_steered(record), STAYS)
+            if strays_of(car, aligned(newest, of_most)) <= AGREES * strays_of(model, aligned(newest, best)):
+                best, model = of_most, car
     else:
         best, part, model = _of_others(record, description, most, fast)
         model = overshooting(model, part, description, before) if fast else model

@@ -191,7 +191,7 @@ _ALL = {"vehicle": {"ratio": 1.25}, "steering": {"offset_deg": 3.0, "delay": 0.2
         ("stanley-delay", "stanley-adaptive", {"vehicle": {"ratio": 1.25}}),
         ("stanley-delay", "stanley-adaptive", {"steering": {"offset_deg": 3.0}}),
         ("stanley-delay", "stanley-adaptive", _LATE),
-        ("mpc", "mpc-adaptive", _ALL),
+        ("lqr", "lqr-adaptive", _ALL),
     ],
 )
 def test_it_drives_nearly_as_well_as_one_that_knows_the_true_parameters(
