@@ -1,4 +1,4 @@
-"""The command `steerkit export`: learning runs, logs and cars, for other programs."""
+"""The command `steerkit export`: learning runs and logs, for other programs."""
 
 import json
 from collections.abc import Callable
@@ -9,25 +9,19 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from steerkit._support.files import read_text, write_text
 from steerkit.cli.log import record_of
 from steerkit.cli.options import written
 from steerkit.controllers.network_policy import PolicyBlock
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log
-from steerkit.export import car as cars
-from steerkit.export.car import controls_challenge
 from steerkit.learning import rundir
 from steerkit.logs.foxglove import LAYOUTS, to_mcap
 from steerkit.logs.foxglove import layout as write_layout
 from steerkit.logs.tables import write_mf4
-from steerkit.scenario import Scenario
-from steerkit.scenario.lateral import lateral_controller
-from steerkit.vehicles import tables_of, vehicle
 
 
 def export(
-    run: Annotated[Path, typer.Argument(help="A learning run's directory; AGENT.npz; any program's log; CAR.toml.")],
+    run: Annotated[Path, typer.Argument(help="A learning run's directory; AGENT.npz; any program's log.")],
     onnx: Annotated[Path | None, typer.Option(help="File for the final policy as an ONNX model.")] = None,
     minari: Annotated[
         str | None, typer.Option(help="Name for the transitions as a Minari data set, such as steerkit/paper-v0.")
@@ -38,19 +32,15 @@ def export(
     csv: Annotated[Path | None, written("The same as a table", ".csv", ".parquet")] = None,
     mf4: Annotated[Path | None, written("The same as MDF 4", ".mf4")] = None,
     layout: Annotated[Path | None, written("The layout for it of Foxglove, or of PlotJuggler", *LAYOUTS)] = None,
-    commonroad: Annotated[Path | None, typer.Option(help="A car as a CommonRoad parameter set, .yaml.")] = None,
-    opendbc: Annotated[Path | None, typer.Option(help="A car as a row of opendbc, .json.")] = None,
-    challenge: Annotated[Path | None, written("An MPC for its steering, for comma's controls challenge", ".py")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")] = False,
 ) -> None:
-    """Export a learning run (policy to ONNX, transitions to Minari), a log (MCAP, CSV, MF4), or a car
-    (CommonRoad, opendbc, a file for comma's controls challenge)."""
-    wanted = (onnx, minari, mcap, csv, mf4, layout, commonroad, opendbc, challenge)
+    """Export a learning run (policy to ONNX, transitions to Minari) or a log (MCAP, CSV, MF4)."""
+    wanted = (onnx, minari, mcap, csv, mf4, layout)
     if all(one is None for one in wanted):
         raise ValueError(
-            "export: nothing to do; give --onnx FILE or --minari NAME of a run, --mcap, --csv, --mf4 or --layout FILE "
-            "of a log, --commonroad, --opendbc or --challenge FILE of a car"
+            "export: nothing to do; give --onnx FILE or --minari NAME of a run, "
+            "or --mcap, --csv, --mf4 or --layout FILE of a log"
         )
     console, done = Console(quiet=quiet, soft_wrap=True), dict[str, Any]()
     if onnx is not None:
@@ -60,12 +50,6 @@ def export(
     if minari is not None:
         done["minari"] = _to_minari(run, minari)
         console.print("transitions: {name}, {episodes} episodes, {steps} steps".format(**done["minari"]))
-    if commonroad is not None or opendbc is not None:
-        _car(run, commonroad, opendbc)
-        console.print(f"car: {', '.join(str(file) for file in (commonroad, opendbc) if file is not None)}")
-    if challenge is not None:
-        write_text(challenge, controls_challenge(lateral_controller("mpc", Scenario.under(vehicle=str(run)))))
-        console.print(f"controller: {challenge}")
     writers: dict[str, Callable[[Log, Path], Any]] = {"mcap": to_mcap, "csv": Log.save, "mf4": write_mf4}
     if logs := {kind: file for kind, file in zip(writers, (mcap, csv, mf4)) if file is not None}:
         record = record_of(run)
@@ -75,16 +59,6 @@ def export(
         console.print(f"layout for {write_layout(layout)}: {layout}")
     if as_json:
         print(json.dumps(done))
-
-
-def _car(file: Path, yaml: Path | None, row: Path | None) -> None:
-    car = vehicle(str(file))
-    if yaml is not None:
-        write_text(yaml, cars.commonroad(car))
-    if row is not None:
-        known = tables_of(read_text(file, "vehicle"), str(file)).get("steering", {}) if file.suffix == ".toml" else {}
-        delay = known["delay"] + known["lag"] if {"delay", "lag"} <= known.keys() else None
-        write_text(row, json.dumps(cars.opendbc(car, delay=delay), indent=1) + "\n")
 
 
 def _to_onnx(run: Path, file: Path) -> dict[str, Any]:

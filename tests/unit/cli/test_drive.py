@@ -174,14 +174,14 @@ def test_a_vehicle_beside_a_scenarios_file_brings_its_steering(
 
 
 def test_a_target_of_lateral_acceleration_instead_of_a_course(tmp_path: Path, cli: Any) -> None:
-    """Ours, and the file that we write for the challenge: the same commands, so the same cost."""
-    cli("export", "vw-passat", "--challenge", tmp_path / "ours.py")
+    """Ours, and a file of the challenge, which asks for the target as it is."""
+    (tmp_path / "theirs.py").write_text("class Controller:\n    def update(self, target, *_):\n        return target\n")
     (tmp_path / "t.csv").write_text("t,a_y,v\n0,0,12\n2,1.5,12\n4,-1,14\n6,0,14\n")
-    name, words = f"{tmp_path / 'ours.py'}:Controller", ("--target", tmp_path / "t.csv", "--json", "-q")
+    name, words = f"{tmp_path / 'theirs.py'}:Controller", ("--target", tmp_path / "t.csv", "--json", "-q")
     rows = cli("drive", "lqr", "mpc", name, *words, "--out", tmp_path / "logs").json["drives"]
     assert [row["controller"] for row in rows] == ["lqr", "mpc", name]
-    assert rows[1]["total_cost"] == pytest.approx(rows[2]["total_cost"], rel=1e-9)
     assert 0.0 < rows[1]["total_cost"] <= rows[0]["total_cost"] + 1e-9
+    assert rows[1]["total_cost"] < 0.8 * rows[2]["total_cost"]
     assert len(list((tmp_path / "logs").glob("*.npz"))) == 3
     assert cli("drive", "mpc", *words).json == rows[1]
 
