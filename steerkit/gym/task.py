@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from steerkit._support.errors import check_numbers, known, number, require, require_within
+from steerkit._support.errors import check_numbers, known, made_of, number, require, require_within
 from steerkit._support.random import OpenSeed
 from steerkit.controllers.network_policy import BOUND, angles_of
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
@@ -253,10 +253,8 @@ class Task:
         if isinstance(self.cost, Mapping):
             fields = dict(self.cost)
             kind = COST_KINDS[known(str(fields.pop("kind", None)), COST_KINDS, "TrackSteering: kind of cost")]
-            valid = [field.name for field in dataclasses.fields(kind)]
-            for name in fields:
-                known(name, valid, f"TrackSteering: field of {kind.__name__}")
-            return kind(**fields)
+            made: Cost = made_of(kind, fields, f"TrackSteering: {kind.__name__}")
+            return made
         if callable(self.cost) and not isinstance(self.cost, type):
             return self.cost
         choices = f"a Cost, a function cost(s, a, s_next), or fields with a kind: {', '.join(COST_KINDS)}"
