@@ -117,7 +117,9 @@ def test_a_killed_car_server_leaves_a_production_car_to_its_human(tmp_path: Path
                 panel.note(Beat())
                 if math.isfinite(snapshot.delta_sw):
                     line.request(snapshot.delta_sw)
-                order = {Mode.OFF: Order.ARM, Mode.READY: Order.ENGAGE}.get(snapshot.mode)
+                # a machine that pauses for 0.3 s looks like a pose that jumps
+                orders = {Mode.OFF: Order.ARM, Mode.READY: Order.ENGAGE, Mode.FAULT: Order.ACKNOWLEDGE}
+                order = orders.get(snapshot.mode)
                 if order is not None:
                     panel.order(order)
                 driven = snapshot.mode is Mode.ENGAGED and '"enabled": true' in log.read_text(encoding="utf-8")[-200:]
