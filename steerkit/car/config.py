@@ -404,6 +404,8 @@ class Reading:
         if "port" not in self.data:
             return None, {}
         found = self.made("", platforms.platform, self.entry("port", table, "opendbc", str))
+        self.one_of(table.get("line", "panda"), LINES, "[port] line")
+        self.entry("port", table, "channel", str, "")
         added = read_toml(File(__file__).parent / "production" / "port.toml", "port")
         for name, more in added.items():
             own = self.table(name)
@@ -652,6 +654,8 @@ class Reading:
         return float(value) if kind is float else value
 
 
+LINES = ("panda", "socket")
+"""What a port may reach its car by: `[port] line`."""
 _BUS = ("interface", "channel", "bitrate", "config_context", "ignore_config")
 """Arguments of `can.Bus` that are no options of an interface."""
 _KINDS = {

@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from steerkit._support.errors import known
 from steerkit.car.config import CarConfig
 from steerkit.car.production.car_frames import steering_messages
 from steerkit.car.production.platforms import Platform, platform
@@ -248,8 +247,6 @@ class Port:
         return [(reader.frame_id, reader.write(values, count=self._count)) for reader in self._readers]
 
 
-LINES = ("panda", "socket")
-"""What a port may reach its car by: `[port] line`."""
 _HEAD = struct.Struct("<IBB")
 """Of a frame in a socket: id, bus, length of the data."""
 _TOGETHER = 500
@@ -259,12 +256,12 @@ _BEAT = 0.3  # s between two heartbeats; a panda without one for seconds no long
 
 
 def line_of(table: dict[str, Any], platform: Platform) -> "Line":
-    """The line that `[port]` describes, open; raises ValueError for a kind that is none, OSError where it is not there.
+    """The line that `[port]` describes, open; raises ValueError for a channel that is none, OSError where nothing is.
 
     table: `line`, `channel` (a panda's serial number, "" for the only one; HOST:PORT of a simulated car).
     """
-    line, channel = known(str(table.get("line", "panda")), LINES, "[port] line"), str(table.get("channel", ""))
-    return PandaLine(platform, channel) if line == "panda" else SocketLine(channel)
+    channel = str(table.get("channel", ""))
+    return PandaLine(platform, channel) if table.get("line", "panda") == "panda" else SocketLine(channel)
 
 
 class PandaLine:

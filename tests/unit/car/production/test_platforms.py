@@ -2,6 +2,7 @@
 
 import math
 import sys
+from typing import Any
 
 import pytest
 
@@ -51,6 +52,29 @@ def test_dbc_files_of_a_production_car_that_are_no_list_are_a_mistake_of_the_fil
     data = toml_of(shipped("production-car.toml").read_text(encoding="utf-8"), "car")
     data["files"]["dbc"] = 3
     with pytest.raises(ConfigError, match=r"\[files\] dbc = 3, expected"):
+        Reading("car", data, {}, shipped("production-car.toml").parent).config(None)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        (
+            "line",
+            "python-can",
+            r"\[port\] line 'python-can' is not known.*; valid: panda, socket",
+        ),  # no safety code there
+        ("line", 3, r"\[port\] line '3' is not known"),
+        ("channel", 7, r"\[port\] channel = 7, expected"),
+        ("interface", "socketcan", r"\[port\] key 'interface' is not known"),
+    ],
+)
+def test_a_line_that_is_none_is_a_mistake_of_the_file(key: str, value: Any, said: str) -> None:
+    from steerkit._support.files import toml_of
+    from steerkit.car.config import Reading, shipped
+
+    data = toml_of(shipped("production-car.toml").read_text(encoding="utf-8"), "car")
+    data["port"][key] = value
+    with pytest.raises(ConfigError, match=said):
         Reading("car", data, {}, shipped("production-car.toml").parent).config(None)
 
 
