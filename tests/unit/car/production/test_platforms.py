@@ -69,6 +69,7 @@ def test_dbc_files_of_a_production_car_that_are_no_list_are_a_mistake_of_the_fil
     ],
 )
 def test_a_line_that_is_none_is_a_mistake_of_the_file(key: str, value: Any, said: str) -> None:
+    """None leads to a bus past a safety code, either."""
     from steerkit._support.files import toml_of
     from steerkit.car.config import Reading, shipped
 
