@@ -52,6 +52,14 @@ def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path)
 
 
 @sources
+def test_the_library_and_its_pages_stay_small() -> None:
+    """Whoever adds to them takes something out (CONTRIBUTING)."""
+    modules, pages = (ROOT / "steerkit").rglob("*.py"), [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    assert sum(len(file.read_text(encoding="utf-8").splitlines()) for file in modules) < 40_000
+    assert sum(len(file.read_text(encoding="utf-8").split()) for file in pages) <= 30_000
+
+
+@sources
 def test_the_wheel_has_the_sources_of_the_checkout(wheel: Path, tmp_path: Path) -> None:
     """As benchmarks see it: a machine with the wheel may work for one with the checkout."""
     zipfile.ZipFile(wheel).extractall(tmp_path)
