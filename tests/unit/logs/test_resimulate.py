@@ -48,6 +48,7 @@ def test_a_drive_as_the_controller_would_is_left_as_it_is(name: str) -> None:
     figures = again.figures()
     assert figures["again"]["max_a_y"] == pytest.approx(figures["driven"]["max_a_y"], rel=0.05)
     assert figures["again"]["seconds_beyond_a_y"] == 0.0
+    assert again.log.t[again.compared][0] == pytest.approx(2.0), "it begins on a straight that was not driven"
 
 
 def test_what_was_steered_otherwise_is_found() -> None:
