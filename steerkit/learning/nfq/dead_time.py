@@ -116,8 +116,9 @@ def process_of(
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
     before: what was found before; a car with overshoot or slew stays while it foresees as well, so that nets which
-    follow on each other are of one car: the record (STAYS), or of a longer one than ROWS the newest half of those
-    (AGREES). Of a car that has changed, what was recorded before is left out (`since_change`, `since_other_gain`).
+    follow on each other are of one car: the record (STAYS), or of a longer one than ROWS, where noise is more than
+    MATTERS, the newest half of those (AGREES). Of a car that has changed, what was recorded before is left out
+    (`since_change`, `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
@@ -130,7 +131,7 @@ def process_of(
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
 
         def found(rows: Transitions, within: float) -> tuple[int, CarModel, bool]:
-            """Dead time and car of some rows, and whether they are those of before."""
+            """Dead time and car of some rows, and whether they are those of before and noise hides any others."""
             best = dead_time_of(rows, most, description.scaled_from, 0 if before is None else before.samples)
             part = aligned(rows, best)
             model = refined(CarModel.fit(part, description, fast=fast), part)
@@ -138,8 +139,11 @@ def process_of(
             if not fast or before is None or not before.feels or len(rows) < SETTLED:
                 return best, model, False
             old = replace(model, **{name: getattr(before, name) for name in _CAR})
-            stays = strays_of(old, aligned(rows, before.samples)) <= within * strays_of(model, part)
-            return (before.samples, old, True) if stays else (best, model, False)
+            error = strays_of(model, part)
+            noisy = error > MATTERS
+            if strays_of(old, aligned(rows, before.samples)) <= (within if noisy else STAYS) * error:
+                return before.samples, old, noisy
+            return best, model, False
 
         newest = record.part(slice(-ROWS // 2, None))
         long = fast and len(record) > ROWS
