@@ -138,8 +138,7 @@ class CarLearner(contextlib.ExitStack):
         fault = engaged and sample["supervisor.fault"] > 0.5  # a NaN, or an exception in the policy
         given_up = self.setting.safe and self._filtered(live, learning=learning, engaged=engaged)
         failed = fault or (engaged and sample["supervisor.tripped"] > 0.5)
-        how: dict[str, bool] = {"learning": learning, "failed": failed, "engaged": engaged}
-        ended = learner_state.sample(live.k, t, sample.__getitem__, **how)
+        ended = learner_state.sample(live.k, t, sample.__getitem__, learning=learning, failed=failed, engaged=engaged)
         if given_up:
             learner_state.counts.ended(t, failed=True)
         if given_up or (ended and ended.failed) or (fault and learner_state.trusted):

@@ -17,6 +17,10 @@ from steerkit.vehicles import Vehicle
 
 _STREAM, _STREAM_FAULTS = 2, 13  # of `seed_state`: the noise, and what goes wrong
 _SLOWEST = 1.0  # m/s, for the estimate of sideslip
+_ERRORS, _DRIFTS, _RANDOM, _NOISE = slice(0, 6), slice(6, 9), slice(9, 15), slice(0, 15)
+_SEEN, _TRUE, _SHARE, _LOST, _OFF, _DRAWN = slice(15, 22), slice(22, 28), 28, 29, slice(30, 33), slice(30, 39)
+_FAULTS, _ON_WAY, _SAMPLE = slice(15, 39), 39, 7
+"""Places in the state: of the noise, of what goes wrong, of samples on their way; and the numbers of one of those."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -150,32 +154,35 @@ class Sensors(Block):
         g1, g2, random = normals(seed_state(self.seed, batch, stream=_STREAM_FAULTS))
         g3, _, random = normals(random)
         faults = (*(zero,) * 15, self.jump * g1, self.jump * g2, self.heading_drift * g3, *random)
-        return (*errors, *faults, *(zero,) * (7 * round(self.latency / self.dt)))
+        return (*errors, *faults, *(zero,) * (_SAMPLE * round(self.latency / self.dt)))
 
     def settle(self, t: float, x: State, u: Any) -> State:
-        return (*x[:39], *self._measured(x, u) * (len(x[39:]) // 7))
+        return (*x[:_ON_WAY], *self._measured(x, u) * (len(x[_ON_WAY:]) // _SAMPLE))
 
     def output(self, t: Any, x: State, u: Any) -> Any:
-        px, py, psi, v, beta, r, share = x[39:46] or self._measured(x, u)
+        px, py, psi, v, beta, r, share = x[_ON_WAY : _ON_WAY + _SAMPLE] or self._measured(x, u)
         if self.rear is not None:
             beta = self.rear * r / m.maximum(v, _SLOWEST)
         if self._faultless:
             return self.Y(px, py, psi, v, beta, r, self.latency)
-        seen = (px + x[30], py + x[31], psi + x[32], v, beta, r, self.latency + share * self.dt)
-        held = (*x[15:21], x[21] + self.dt)
-        return self.Y(*[m.where(x[29] > 0.5, before, now) for now, before in zip(seen, held)])
+        o_x, o_y, b = x[_OFF]
+        now = (px + o_x, py + o_y, psi + b, v, beta, r, self.latency + share * self.dt)
+        *held, age = x[_SEEN]
+        return self.Y(*[m.where(x[_LOST] > 0.5, old, new) for old, new in zip((*held, age + self.dt), now)])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
-        errors = x[:15] if self._exact else self._drawn(x[6:9], x[9:15], kept=float(np.exp(-self.dt / self.drift_time)))
-        faults = x[15:39] if self._faultless else (*y, *[truth + 0.0 for truth in u], *self._faults(x[30:39]))
-        return (*errors, *faults, *x[46:], *self._measured(x, u)) if x[39:] else (*errors, *faults)
+        kept = float(np.exp(-self.dt / self.drift_time))
+        errors = x[_NOISE] if self._exact else self._drawn(x[_DRIFTS], x[_RANDOM], kept=kept)
+        faults = x[_FAULTS] if self._faultless else (*y, *[truth + 0.0 for truth in u], *self._faults(x[_DRAWN]))
+        on_way = (*x[_ON_WAY + _SAMPLE :], *self._measured(x, u)) if x[_ON_WAY:] else ()
+        return (*errors, *faults, *on_way)
 
     def _measured(self, x: State, u: Any) -> State:
         """What is measured now, and the share of a sample by which it is older."""
-        share = x[28]
+        share = x[_SHARE]
         if not self._faultless:
-            u = [now + share * (before - now) for now, before in zip(u, x[22:28])]
-        return (*[truth + error for truth, error in zip(u, x[:6])], share)
+            u = [now + share * (before - now) for now, before in zip(u, x[_TRUE])]
+        return (*[truth + error for truth, error in zip(u, x[_ERRORS])], share)
 
     def _drawn(self, drift: State, random: RandomState, kept: float) -> State:
         """Errors, drifts and generator for the next sample; `kept` is the drift's share f that stays."""

@@ -256,12 +256,12 @@ _BEAT = 0.3  # s between two heartbeats; a panda without one for seconds no long
 
 
 def line_of(table: dict[str, Any], platform: Platform) -> "Line":
-    """The line that `[port]` describes, open; raises ValueError for a channel that is none, OSError where nothing is.
+    """The line that `[port]` describes, open; raises ValueError for a channel that is none, OSError where none answers.
 
     table: `line`, `channel` (a panda's serial number, "" for the only one; HOST:PORT of a simulated car).
     """
     channel = str(table.get("channel", ""))
-    return PandaLine(platform, channel) if table.get("line", "panda") == "panda" else SocketLine(channel)
+    return SocketLine(channel) if table.get("line") == "socket" else PandaLine(platform, channel)
 
 
 class PandaLine:

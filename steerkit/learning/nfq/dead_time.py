@@ -51,8 +51,8 @@ GAINED = 300.0
 """Twice the log-likelihood by which two cars explain a record better than one, from which on they are two; noise and
 the first, wild seconds make up to 170 of it."""
 AGREES = 1.15
-"""A car found from where it was steered most stays while it foresees the newest rows as well, by this factor, as one
-found from them alone: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, with 10 % less gain 1.2."""
+"""A car found from where it was steered most, or before, stays while it foresees the newest rows as well as one found
+from them, by this factor: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less gain."""
 SETTLED = 1500
 """Samples from which on a car with overshoot or slew stays that was found before: 75 s ..."""
 STAYS = 1.05
@@ -145,9 +145,9 @@ def process_of(
                 return before.samples, old, noisy
             return best, model, False
 
-        newest = record.part(slice(-ROWS // 2, None))
         long = fast and len(record) > ROWS
-        best, model, stays = found(newest, AGREES) if long else found(record, STAYS)
+        newest = record.part(slice(-ROWS // 2, None)) if long else record
+        best, model, stays = found(newest, AGREES if long else STAYS)
         if long and not stays:  # what was steered most tells more, but is older: is it of the same car?
             of_most, car, _ = found(most_steered(record), STAYS)
             if strays_of(car, aligned(newest, of_most)) <= AGREES * strays_of(model, aligned(newest, best)):
