@@ -130,15 +130,6 @@ def test_iso_11270_as_opendbc_computes_it_is_held_without_any_tolerance() -> Non
     assert wild.mean() > 0.5
 
 
-def test_opendbc_s_own_limiter_leaves_what_passes_as_it_is() -> None:
-    c = passed(5_000, limits(), seed=2, dt=FRAME)
-    theirs = their_limits(lateral.ISO_LATERAL_ACCEL, lateral.ISO_LATERAL_JERK)
-    theirs.STEER_STEP = FRAME / lateral.DT_CTRL
-    for sent, last, v in zip(np.degrees(c.sent).tolist(), np.degrees(c.last).tolist(), c.v.tolist()):
-        left = lateral.apply_steer_angle_limits_vm(sent, last, v, last, True, theirs, car())
-        assert left == pytest.approx(sent, abs=1e-6)
-
-
 # ---- the C that stands between computer and car ----------------------------------------------------------------
 
 

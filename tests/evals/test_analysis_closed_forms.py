@@ -1,61 +1,25 @@
 """Margins of a double integrator behind a delay, where they are known in closed form."""
 
 import math
-from dataclasses import dataclass
-from typing import Any
 
+import control
+import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from steerkit.analysis import UnstableError, break_at, margins
-from steerkit.diagram import maths as m
-from steerkit.diagram.block import Block, In, Out
+from steerkit.analysis import FromControl, UnstableError, break_at, margins
 from steerkit.diagram.loop import Loop
 
 DT = 0.05
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Mass(Block):
-    """p'' = a, exactly, for a held over dt."""
-
-    a = In("m/s^2", direct=False)
-    p = Out("m", direct=())
-    v = Out("m/s", direct=())
-
-    def init(self, batch: tuple[int, ...] = ()) -> Any:
-        return (m.filled(0.0, batch),) * 2
-
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(*x)
-
-    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
-        return x[0] + self.dt * x[1] + 0.5 * self.dt**2 * u.a, x[1] + self.dt * u.a
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LateSpring(Block):
-    """a(t) = -(k p + d v)(t - n dt)."""
-
-    p = In("m")
-    v = In("m/s")
-    a = Out("m/s^2")
-    k: float = 1.0
-    d: float = 1.5
-    n: int = 0
-
-    def init(self, batch: tuple[int, ...] = ()) -> Any:
-        return (m.filled(0.0, batch),) * self.n
-
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        return self.Y(x[0] if self.n else -(self.k * u.p + self.d * u.v))
-
-    def update(self, t: Any, x: Any, u: Any, y: Any) -> Any:
-        return (*x[1:], -(self.k * u.p + self.d * u.v)) if self.n else ()
-
-
 def loop(n: int, every: int = 1, k: float = 1.0, d: float = 1.5) -> Loop:
-    mass, spring = Mass(dt=DT / every), LateSpring(k=k, d=d, n=n, dt=DT)
+    """p'' = a, exactly, for a held over a step, and a spring that is late: a(t) = -(k p + d v)(t - n dt)."""
+    h = DT / every
+    moves = control.ss([[1, h], [0, 1]], [[0.5 * h * h], [h]], np.eye(2), 0.0, h, inputs=["a"], outputs=["p", "v"])
+    late = control.tf2ss([1.0], [1.0, *[0.0] * n], DT) * control.ss([], [], [], [[-k, -d]], DT)
+    mass = FromControl(system=moves, dt=h)
+    spring = FromControl(system=control.ss(late, inputs=["p", "v"], outputs=["a"]), dt=DT)
     return Loop(
         blocks={"mass": mass, "spring": spring}, wires=[(mass.p, spring.p), (mass.v, spring.v), (spring.a, mass.a)]
     )

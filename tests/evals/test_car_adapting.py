@@ -10,7 +10,6 @@ from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.loop import Steers, adapted_in
 from steerkit.car.protocol import Adapted, Remark
-from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from steerkit.scenario.catalogue import make_controller
 from tests.evals.test_car_learning import learned
@@ -46,22 +45,18 @@ def test_what_it_found_outlasts_an_override_and_a_lost_pose_and_the_drive_replay
     assert world.mode is Mode.ENGAGED, world.modes[-1]
     found = told(world)
     assert found.delay > prior.delay + 0.05, "it has found the delay"
-    world.car.faults.append(Fault(kind="override", target="report", start=world.t, length=0.1))
-    world.until(world.t + 0.5)  # the estimate is read every fifth sample
+    world.fault("override", length=0.1, then=0.5)  # the estimate is read every fifth sample
     assert world.mode is Mode.OVERRIDE
     kept = told(world)
     assert kept == pytest.approx(found, rel=0.02)
     world.until(world.t + 1.5)
     assert told(world) == kept, "the human steers, and teaches nothing of what commands do"
     places = world.last.places  # type: ignore[union-attr]
-    world.car.faults.append(Fault(kind="drop", target="pose", start=world.t, length=2.0))
-    world.until(world.t + 3.0)
+    world.fault("drop", "pose", length=2.0, then=3.0)
     assert world.last.places > places, "the pose was away"  # type: ignore[union-attr]
     assert told(world) == kept
-    world.order(Order.ACKNOWLEDGE)
-    world.until(world.t + 0.5)
-    world.order(Order.ENGAGE)
-    world.until(world.t + 3.0)
+    world.order(Order.ACKNOWLEDGE, then=0.5)
+    world.order(Order.ENGAGE, then=3.0)
     assert world.mode is Mode.ENGAGED, world.modes[-1]
     world.check_bus()
     assert world.recorder is not None

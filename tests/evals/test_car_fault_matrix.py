@@ -7,15 +7,55 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import pytest
 
+from steerkit.car.config import CarConfig, load, shipped
 from steerkit.car.core import Link
 from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram.units import degrees_of
 from tests.support.car_world import World
+
+PEDALS = 0x70
+DBC = """VERSION ""
+BU_: PC CAR
+BO_ 112 PEDALS: 2 CAR
+ SG_ BRAKE_PRESSED : 3|1@1+ (1,0) [0|1] "" PC
+ SG_ GAS : 9|2@1+ (1,0) [0|3] "" PC
+"""
+READ = """brake = { frame = "PEDALS", signal = "BRAKE_PRESSED" }
+accelerator = { frame = "PEDALS", signal = "GAS" }
+
+[read.faults]"""
+
+
+@cache
+def with_pedals() -> CarConfig:
+    """The shipped configuration, and a frame of the car's with both pedals, fifty times a second."""
+    text = shipped("dbw-kit.toml").read_text(encoding="utf-8")
+    text = text.replace('"pose.dbc"]', '"pose.dbc", "pedals.dbc"]').replace("[read.faults]", READ, 1)
+    text = text.replace("[protect] ", "[protect]\nPEDALS = { period = 0.02 }\n#", 1)
+    with TemporaryDirectory() as folder:
+        Path(folder, "pedals.dbc").write_text(DBC)
+        Path(folder, "car.toml").write_text(text)
+        return load(Path(folder, "car.toml"))
+
+
+def pedals_say(data: bytes | None) -> Callable[[World], None]:
+    """From now on; None: nothing."""
+
+    def act(world: World) -> None:
+        advance = world.car.advance
+        world.car.advance = lambda t: [  # type: ignore[method-assign]
+            (when, i, data if i == PEDALS else told) for when, i, told in advance(t) if data or i != PEDALS
+        ]
+
+    return act
 
 
 def plant_fault(kind: str, target: str, amount: float = 0.0) -> Callable[[World], None]:
@@ -75,7 +115,11 @@ CASES = {
     "controller gone": Case(lambda world: world.handle(Link(world.t, 1, False)), "controller gone", 0.001),
     "3 missed deadlines": Case(miss_deadlines, "missed deadlines", 0.05),
     "car server stalls 80 ms": Case(sleep(0.08), "server late", 0.085),
+    "brake": Case(plant_fault("brake", "report"), "brake: the human brakes", 0.021, Mode.OVERRIDE),
+    "accelerator": Case(plant_fault("accelerator", "report"), "accelerator: the human ", 0.021, Mode.OVERRIDE),
     "space bar": Case(lambda world: world.order(Order.DISENGAGE), "operator", 0.001, Mode.STANDBY),
+    "pedals not available": Case(pedals_say(b"\0\6"), "accelerator: the human ", 0.05, Mode.OVERRIDE),
+    "pedals silent": Case(pedals_say(None), "report stale", 0.1),
 }
 
 
@@ -90,8 +134,7 @@ class Outcome(NamedTuple):
 
 def try_out(name: str, mode: Mode) -> Outcome:
     """One fault in one state, until the state changed and a little longer."""
-    case, world = CASES[name], World()
-    world.bring_to(mode)
+    case, world = CASES[name], World(config=with_pedals()).bring_to(mode)
     began, seen = world.t, len(world.modes)
     case.act(world)
     wait = max(case.within, 0.15) + 0.1 if mode is Mode.ENGAGED else 0.25
@@ -103,8 +146,7 @@ def try_out(name: str, mode: Mode) -> Outcome:
 
 
 def test_without_a_fault_the_car_drives_the_bend() -> None:
-    world = World()
-    world.bring_to(Mode.ENGAGED)
+    world = World().bring_to(Mode.ENGAGED)
     world.until(6.0)
     assert world.mode is Mode.ENGAGED
     assert world.last is not None
@@ -148,8 +190,7 @@ def test_while_ready_nothing_moves(name: str) -> None:
 
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.STANDBY, Mode.OVERRIDE, Mode.FAULT])
 def test_in_every_other_state_nothing_moves_one_fault_after_the_other(mode: Mode) -> None:
-    world = World()
-    world.bring_to(mode)
+    world = World(config=with_pedals()).bring_to(mode)
     began, hand = world.t, list(world.car.faults)
     for case in CASES.values():
         case.act(world)
@@ -162,8 +203,7 @@ def test_in_every_other_state_nothing_moves_one_fault_after_the_other(mode: Mode
 
 
 def test_one_late_step_trips_neither_server_nor_kit() -> None:
-    world = World()
-    world.bring_to(Mode.ENGAGED)
+    world = World().bring_to(Mode.ENGAGED)
     world.due += 0.05
     world.until(world.t + 0.5)
     assert world.mode is Mode.ENGAGED
@@ -173,8 +213,7 @@ def test_one_late_step_trips_neither_server_nor_kit() -> None:
 
 
 def test_a_dead_controller_is_silent_within_75_ms_of_its_data() -> None:
-    world = World()
-    world.bring_to(Mode.ENGAGED)
+    world = World().bring_to(Mode.ENGAGED)
     world.tampered = lambda basis, delta_sw: None
     began = world.t
     world.until(began + 0.149)
@@ -187,23 +226,18 @@ def test_listen_only_never_sends() -> None:
     world.order(Order.ARM)
     world.until(0.5)
     for order in Order:
-        world.order(order)
-        world.until(world.t + 0.1)
+        world.order(order, then=0.1)
     assert world.sent == []
 
 
 def test_after_a_fault_the_operator_may_engage_again() -> None:
-    world = World()
-    world.bring_to(Mode.FAULT)
-    world.order(Order.ENGAGE)
-    world.until(world.t + 0.1)
+    world = World().bring_to(Mode.FAULT)
+    world.order(Order.ENGAGE, then=0.1)
     assert world.mode is Mode.FAULT  # refused
     world.until(world.t + 1.0)
-    world.order(Order.ACKNOWLEDGE)
-    world.until(world.t + 0.2)
+    world.order(Order.ACKNOWLEDGE, then=0.2)
     assert world.mode is Mode.READY, world.core.obstacles()
-    world.order(Order.ENGAGE)
-    world.until(world.t + 1.0)
+    world.order(Order.ENGAGE, then=1.0)
     assert world.mode is Mode.ENGAGED
     world.check_bus()
 

@@ -57,8 +57,7 @@ class Filtered(World):
 
 
 def test_an_adversary_is_kept_on_the_path_behind_the_gate() -> None:
-    world = Filtered(s=20.0, v=(6.0, 6.0), controller=Away())
-    world.bring_to(Mode.ENGAGED)
+    world = Filtered(s=20.0, v=(6.0, 6.0), controller=Away()).bring_to(Mode.ENGAGED)
     assert 0.35 < world.worst_e(3.0) < 0.5
     assert world.mode is Mode.ENGAGED
     world.check_bus()
@@ -81,8 +80,7 @@ class LeftThenStanley(Wrapper):
 @pytest.mark.parametrize("v", [7.0, 9.0])
 def test_what_is_rolled_out_is_no_less_than_what_comes_behind_the_gate(v: float) -> None:
     """Half way through the lock four samples of it are left. One that does not know the gate promises half of it."""
-    world = World(s=20.0, v=(v, v), controller=LeftThenStanley(block=Stanley.of(CONFIG.vehicle)))
-    world.bring_to(Mode.ENGAGED)
+    world = World(s=20.0, v=(v, v), controller=LeftThenStanley(block=Stanley.of(CONFIG.vehicle))).bring_to(Mode.ENGAGED)
     knows: Any = loops.safety(world.config).block
     sure: dict[str, Any] = dict(e_doubt=0.0, psi_doubt=0.0, yaw_doubt=0.0, ratio_doubt=0.0, delay_doubt=0.0)
     blocks, reaches, worst = (replace(knows, **sure), replace(knows, **sure, gate=None)), list[float](), 0.0

@@ -81,14 +81,6 @@ def until(holds: Callable[[], bool], what: str, *, seconds: float = 240.0) -> No
         time.sleep(0.05)
 
 
-def begin(start: Start, port: int, folder: Path) -> None:
-    """Start a scheduler, and wait for it."""
-    options = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
-    start("scheduler", words(lines()["scheduler"], port) + options, environment())
-    log = folder / "scheduler.log"
-    until(lambda: "Scheduler at" in log.read_text(), "a scheduler")
-
-
 def worker(start: Start, port: int, number: int, *, nanny: bool) -> int:
     """Start a worker; returns its id."""
     options = ["--nworkers", "1", "--nthreads", "1", "--no-dashboard", *([] if nanny else ["--no-nanny"])]
@@ -104,17 +96,14 @@ def command(port: int, *more: str) -> list[str]:
 
 @pytest.mark.skipif(find_spec("distributed") is None, reason="comes with the extra bench")
 def test_a_cluster_as_documented_and_killed_workers(start: Start, port: int, tmp_path: Path) -> None:
-    """All is done, with the numbers of this machine, though one of two workers is killed."""
-    begin(start, port, tmp_path)
-    # those that are killed are without a nanny, another process that would be killed with them
-    ids = [worker(start, port, n, nanny=n == 1) for n in range(2)]
+    """All is done, with the numbers of this machine, though one of two workers is killed on the way."""
+    options = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    start("scheduler", words(lines()["scheduler"], port) + options, environment())
     log = tmp_path / "scheduler.log"
+    until(lambda: "Scheduler at" in log.read_text(), "a scheduler")
+    # the one that is killed is without a nanny, another process that would be killed with it
+    victim, _ = (worker(start, port, n, nanny=n == 1) for n in range(2))
     until(lambda: log.read_text().count("Register worker") >= 2, "two workers")
-    a_suite(start, port, tmp_path, ids[0])
-
-
-def a_suite(start: Start, port: int, tmp_path: Path, victim: int) -> None:
-    """All cases are done, with the numbers of this machine, though a worker is killed on the way."""
     run = start("run", command(port, "--seeds", "3", "--json"), environment())
     finished = lambda: len(list(tmp_path.glob("results/cases/*.json")))  # noqa: E731
     until(lambda: finished() >= 2 or run.poll() is not None, "two cases")

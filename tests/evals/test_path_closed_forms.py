@@ -199,21 +199,6 @@ def test_the_paper_course_asks_what_the_experiment_states():
     assert np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1))[far].min() > 10.0
 
 
-def test_e_dot_is_the_rate_of_e():
-    tracker = PathTracker(path=courses.course("paper"), reference=1.2, dt=1e-3)
-    v, beta, r, psi0, h = 6.0, 0.03, 0.25, 0.2, 1e-3
-
-    def pose(t):  # a circle at constant sideslip
-        psi = psi0 + r * t
-        x = 60.0 + v / r * (math.sin(psi + beta) - math.sin(psi0 + beta))
-        y = 0.3 - v / r * (math.cos(psi + beta) - math.cos(psi0 + beta))
-        return x, y, psi
-
-    before, now, after = (track(tracker, *pose(t), v, beta, r) for t in (1.0 - h, 1.0, 1.0 + h))
-    assert now.e_dot == pytest.approx((after.e - before.e) / (2.0 * h), abs=1e-5)
-    assert abs(now.e_dot) > 0.1
-
-
 def test_gps_positions_become_metres_east_and_north():
     pymap3d = pytest.importorskip("pymap3d")
     angle = np.linspace(0.0, 2.0 * math.pi, 400, endpoint=False)

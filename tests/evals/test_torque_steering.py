@@ -80,7 +80,3 @@ def test_lqr_holds_where_the_slew_is_half_of_what_it_is_told() -> None:
     log = simulate(loop.with_block("car", car), 30.0, every=5, allow_nonfinite=True)
     assert abs(log["path.e"]).max() < 1.1
     assert judged(log)[1].max() < 0.02
-
-
-def test_one_that_does_not_know_them_swings() -> None:
-    assert rms(judged(recovered("stanley", "sweeping-1003", 16.0, 20.0))[1]) > 1.0

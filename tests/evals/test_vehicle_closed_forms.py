@@ -184,18 +184,6 @@ def test_a_y_is_the_acceleration_of_the_centre_of_gravity(cls):
         assert abs(found - y.v * y.r) > 0.02 or k > 30  # v*r alone is not it
 
 
-def test_slip_angles_are_those_of_the_docstring():
-    car, (v_y, r, v_x, delta) = VW_PASSAT, (0.4, 0.5, 6.0, 0.2)
-    alpha_f = delta - math.atan2(v_y + car.l_f * r, v_x)
-    alpha_r = -math.atan2(v_y - car.l_r * r, v_x)
-    load = car.m * G / car.wheelbase
-    front = math.cos(delta) * fiala(math.tan(alpha_f), car.c_f, car.mu * load * car.l_r)
-    rear = fiala(math.tan(alpha_r), car.c_r, car.mu * load * car.l_f)
-    rate = NonlinearSingleTrack(vehicle=car).rhs((0.0, 0.0, 0.0, v_y, r), delta, v_x)
-    assert rate[3] == pytest.approx((front + rear) / car.m - v_x * r, rel=1e-12)
-    assert rate[4] == pytest.approx((car.l_f * front - car.l_r * rear) / car.i_z, rel=1e-12)
-
-
 def test_fiala_tyre():
     c, grip = 2e5, 8e3
     slide = 3.0 * grip / c

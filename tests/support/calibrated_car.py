@@ -66,8 +66,7 @@ class CalibratedWorld(World):
 
     def drive(self, longest: float = 300.0) -> None:
         """Engage, and drive until all is driven."""
-        self.order(Order.ARM)
-        self.until(self.t + 0.2)
+        self.order(Order.ARM, then=0.2)
         self.order(Order.ENGAGE)
         end = self.t + longest
         while not self.over and self.t < end:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from steerkit.car import loop as loops
 from steerkit.car import protocol
@@ -133,8 +133,19 @@ class World:
     def packet(self, message: protocol.Message) -> None:
         self.handle(Packet(self.t, 1, protocol.encode(message)))
 
-    def order(self, order: Order) -> None:
+    def order(self, order: Order, then: float | None = None) -> None:
+        """Give it, and go on for so long [s]."""
         self.packet(protocol.Command(order))
+        self.go_on_for(then)
+
+    def fault(self, kind: str, target: str = "report", *, then: float | None = None, **more: float) -> None:
+        """Of the car, from now on; and go on for so long [s]."""
+        self.car.faults.append(Fault(kind=kind, target=target, start=self.t, **more))
+        self.go_on_for(then)
+
+    def go_on_for(self, seconds: float | None) -> None:
+        if seconds is not None:
+            self.until(self.t + seconds)
 
     def handle(self, event: Event) -> None:
         if event.t < self.asleep_until:
@@ -162,27 +173,27 @@ class World:
     def mode(self) -> Mode:
         return self.core.machine.mode
 
-    def bring_to(self, mode: Mode) -> None:
+    def bring_to(self, mode: Mode) -> Self:
         """Into a state, by the way that an operator would go."""
         if mode is Mode.OFF:
-            return self.until(0.2)
+            self.until(0.2)
+            return self
         self.order(Order.ARM)
         self.until(0.2)
         assert self.mode is Mode.READY, self.core.obstacles()
         if mode is Mode.STANDBY:
-            self.car.faults.append(Fault(kind="torque", target="report", start=self.t))  # a hand on the wheel
+            self.fault("torque")  # a hand on the wheel
             self.until(0.3)
         elif mode is not Mode.READY:
             self.order(Order.ENGAGE)
             self.until(0.55)
             assert self.mode is Mode.ENGAGED
-            cause = {Mode.OVERRIDE: "override", Mode.FAULT: "quality"}.get(mode)
-            if cause:
-                target = "pose" if cause == "quality" else "report"
-                self.car.faults.append(Fault(kind=cause, target=target, start=self.t, length=0.1))
+            if mode is not Mode.ENGAGED:
+                kind, target = ("override", "report") if mode is Mode.OVERRIDE else ("quality", "pose")
+                self.fault(kind, target, length=0.1)
                 self.until(0.75)
         assert self.mode is mode
-        return None
+        return self
 
     def check_bus(self) -> None:
         """Nothing out of limits, nothing enabled outside ENGAGED, never faster than the cap, on the whole bus."""

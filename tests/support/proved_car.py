@@ -96,14 +96,11 @@ class ProvingWorld(World):
     def engage(self) -> None:
         """As the operator does."""
         if self.mode is Mode.OFF:
-            self.order(Order.ARM)
-            self.until(self.t + 0.3)
+            self.order(Order.ARM, then=0.3)
         if self.mode in (Mode.FAULT, Mode.OVERRIDE):
-            self.order(Order.ACKNOWLEDGE)
-            self.until(self.t + 0.3)
+            self.order(Order.ACKNOWLEDGE, then=0.3)
         assert self.mode is Mode.READY, self.core.obstacles()
-        self.order(Order.ENGAGE)
-        self.until(self.t + 0.1)
+        self.order(Order.ENGAGE, then=0.1)
         assert self.mode is Mode.ENGAGED, self.core.obstacles()
 
     def go_on(self, until: Any, longest: float = 200.0) -> None:

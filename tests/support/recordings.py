@@ -25,8 +25,7 @@ def small() -> bytes:
     """The file: READY, engaged, the recording "stops" for a moment, the human brakes, the process ends."""
     with TemporaryDirectory() as folder:
         recorder = recordings.Recording(Path(folder) / "raw.mcap", recordings.described(CONFIG))
-        world = World(recorder=recorder)
-        world.bring_to(Mode.ENGAGED)
+        world = World(recorder=recorder).bring_to(Mode.ENGAGED)
         world.handle(RecordingFault(world.t, "a slow disk"))
         world.handle(RecordingFault(world.t, ""))
         world.until(world.t + 0.1)

@@ -7,7 +7,6 @@ import pytest
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.calibration import SHARES, SLOWEST, check
-from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Mode, Order
 from tests.support.calibrated_car import CalibratedWorld, Made
 
@@ -15,8 +14,7 @@ from tests.support.calibrated_car import CalibratedWorld, Made
 def engaged(minutes: float, seconds: float, **more: Any) -> tuple[CalibratedWorld, Any]:
     """A guided drive that was engaged so many seconds ago, and its guide."""
     world = CalibratedWorld(minutes=minutes, **more)
-    world.order(Order.ARM)
-    world.until(world.t + 0.2)
+    world.order(Order.ARM, then=0.2)
     world.order(Order.ENGAGE)
     world.until(world.t + seconds)
     return world, world.guided
@@ -63,16 +61,13 @@ def test_the_clock_stands_while_the_human_has_the_wheel_and_the_wave_goes_on_lat
     driven = guided.driven
     assert driven == pytest.approx(3.0, abs=0.1)
     assert guided.status().startswith("sine, the wheel swings slowly: 3 s of driving left, then steps")
-    world.car.faults.append(Fault(kind="override", target="report", start=world.t, length=0.1))
-    world.until(world.t + 1.0)
+    world.fault("override", length=0.1, then=1.0)
     assert world.mode is Mode.OVERRIDE
     assert guided.driven == pytest.approx(driven, abs=0.1)
     assert "until you engage" in guided.status()
-    world.order(Order.ACKNOWLEDGE)
-    world.until(world.t + 0.2)
+    world.order(Order.ACKNOWLEDGE, then=0.2)
     assert world.mode is Mode.READY, "nothing engages by itself"
-    world.order(Order.ENGAGE)
-    world.until(world.t + 1.0)
+    world.order(Order.ENGAGE, then=1.0)
     assert guided.wave == "sine"
     assert guided.driven == pytest.approx(4.0, abs=0.2)
     world.check_bus()

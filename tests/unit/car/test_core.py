@@ -24,7 +24,6 @@ from steerkit.car.protocol import (
     decode,
     encode,
 )
-from steerkit.car.simulated import Fault
 from steerkit.car.state_machine import Machine, Mode, Order
 from tests.support.car_messages import config, messages
 from tests.support.car_world import World
@@ -85,17 +84,14 @@ def test_a_look_that_comes_late_counts_for_a_second() -> None:
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("again", [False, True])
 def test_the_gate_starts_from_the_wheel_as_it_is_and_a_pause_earns_nothing(side: float, again: bool) -> None:
-    world = World()
-    world.bring_to(Mode.ENGAGED if again else Mode.READY)
+    world = World().bring_to(Mode.ENGAGED if again else Mode.READY)
     if again:
-        world.order(Order.DISENGAGE)
-        world.until(world.t + 0.5)
+        world.order(Order.DISENGAGE, then=0.5)
     assert world.mode is Mode.READY
     world.tampered = lambda basis, delta_sw: (basis, world.core.senses.values["delta_sw"] + 0.3 * side)
     world.until(world.t + 0.06)
     sent, measured, gate = len(world.sent), world.core.senses.values["delta_sw"], world.config.gate
-    world.order(Order.ENGAGE)
-    world.until(world.t + 0.03)
+    world.order(Order.ENGAGE, then=0.03)
     assert world.mode is Mode.ENGAGED
     step = (world.sent[sent].delta_sw - measured) * side
     assert -gate.quantum < step <= gate.rate_max * gate.dt_min + gate.quantum
@@ -104,10 +100,8 @@ def test_the_gate_starts_from_the_wheel_as_it_is_and_a_pause_earns_nothing(side:
 @pytest.mark.parametrize("target", ["pose", "report"])
 def test_the_gate_reckons_with_the_faster_of_two_speeds(target: str) -> None:
     """Curvature may change by 5/v^2 a second [1/(m s)]; one of the speeds says 5.9 m/s, the other 5 m/s."""
-    world = World(v=(5.0, 5.0), s=20.0)
-    world.bring_to(Mode.ENGAGED)
-    world.car.faults.append(Fault(kind="speed", target=target, start=world.t, amount=0.9))
-    world.until(world.t + 0.05)
+    world = World(v=(5.0, 5.0), s=20.0).bring_to(Mode.ENGAGED)
+    world.fault("speed", target, amount=0.9, then=0.05)
     gate = world.config.gate
     world.tampered = lambda basis, delta_sw: (basis, 8.0)
     sent, began = len(world.sent), world.t
@@ -120,8 +114,7 @@ def test_the_gate_reckons_with_the_faster_of_two_speeds(target: str) -> None:
 
 
 def test_five_neutral_frames_follow_and_then_silence() -> None:
-    world = World()
-    world.bring_to(Mode.ENGAGED)
+    world = World().bring_to(Mode.ENGAGED)
     world.order(Order.DISENGAGE)
     ended = world.t
     world.until(ended + 2.0)
@@ -142,23 +135,20 @@ def alerts(world: World, since: float) -> list[bool]:
 @pytest.mark.parametrize("how", ["space bar", "override", "quality", "end"])
 def test_at_every_takeover_the_kit_is_asked_to_alert_the_human(how: str) -> None:
     """In all five frames that let go; never while it steers, nor in a frame that clears its faults."""
-    world = World()
-    world.bring_to(Mode.ENGAGED)
+    world = World().bring_to(Mode.ENGAGED)
     assert not any(alerts(world, 0.0))
     if how == "space bar":
         world.order(Order.DISENGAGE)
     elif how == "end":
         world.handle(End(world.t, "the car server was stopped"))
     else:
-        target = "pose" if how == "quality" else "report"
-        world.car.faults.append(Fault(kind=how, target=target, start=world.t, length=0.2))
+        world.fault(how, "pose" if how == "quality" else "report", length=0.2)
     began = world.t
     world.until(began + 0.7)
     ended = next(t for t, mode, _ in world.modes if t >= began and mode is not Mode.ENGAGED)
     assert alerts(world, ended) == [True] * 5
     if world.mode in (Mode.OVERRIDE, Mode.FAULT):
-        world.order(Order.ACKNOWLEDGE)
-        world.until(world.t + 0.2)
+        world.order(Order.ACKNOWLEDGE, then=0.2)
         assert alerts(world, ended) == [True] * 5 + [False]
 
 
@@ -324,8 +314,7 @@ def panels(world: World, **beats: float) -> None:
 
 
 def test_one_heartbeat_counts_that_of_the_panel_that_engaged_and_it_is_named() -> None:
-    world = World()
-    world.bring_to(Mode.ENGAGED)
+    world = World().bring_to(Mode.ENGAGED)
     panels(world, first=math.inf, second=math.inf)
     assert (world.mode, world.query().holder) == (Mode.ENGAGED, "first")
     stops = world.t + 0.05
@@ -343,8 +332,7 @@ def test_one_heartbeat_counts_that_of_the_panel_that_engaged_and_it_is_named() -
 
 
 def test_who_reads_no_keys_cannot_engage_beside_two_panels_whose_names_are_shown_as_far_as_they_can_be() -> None:
-    world = World()
-    world.bring_to(Mode.READY)
+    world = World().bring_to(Mode.READY)
     panels(world, **{"first\x1b[2J\n\u202e": math.inf, "x" * 99: math.inf})
     why = refusals(world.core, world.t, 1, Command(Order.ENGAGE))
     assert why == [f"not engaged: engage at one of the panels that read their keys: first[2J; {'x' * 80}"]
@@ -393,8 +381,7 @@ def test_after_a_pause_acknowledging_is_enough_and_the_panel_says_so(
     stops: float, gap: float, clock: float, again: bool
 ) -> None:
     """The receiver's clock may have been set by so much. What may be a delay needs the order again, in STANDBY."""
-    world = Stopped(s=20.0)
-    world.bring_to(Mode.ENGAGED)
+    world = Stopped(s=20.0).bring_to(Mode.ENGAGED)
     began, values = world.t, world.car._values
 
     def told() -> dict[str, float]:
@@ -404,11 +391,10 @@ def test_after_a_pause_acknowledging_is_enough_and_the_panel_says_so(
 
     world.car._values = told  # type: ignore[method-assign]
     world.asleep_until = began + stops
-    world.car.faults.append(Fault(kind="drop", target="pose", start=began, length=gap))
+    world.fault("drop", "pose", length=gap)
     world.until(began + max(stops, gap) + 2.0)
     assert world.mode is Mode.FAULT
-    world.order(Order.ACKNOWLEDGE)
-    world.until(world.t + 1.5)
+    world.order(Order.ACKNOWLEDGE, then=1.5)
     if again:
         assert "by its time stamp: if its clock was set anew, acknowledge (a) while in STANDBY" in world.query().text
         world.order(Order.ACKNOWLEDGE)
@@ -416,19 +402,15 @@ def test_after_a_pause_acknowledging_is_enough_and_the_panel_says_so(
         while world.mode is Mode.STANDBY and world.t < end:
             world.until(world.t + 0.1)
     assert world.mode is Mode.READY, world.query().text
-    world.order(Order.ENGAGE)
-    world.until(world.t + 1.0)
+    world.order(Order.ENGAGE, then=1.0)
     assert world.mode is Mode.ENGAGED
 
 
 @pytest.mark.parametrize("late", [0.2, 0.5])
 def test_a_delay_is_not_acknowledged_away_with_its_fault(late: float) -> None:
-    world = World()
-    world.bring_to(Mode.ENGAGED)
-    world.car.faults.append(Fault(kind="delay", target="pose", start=world.t, amount=late))
-    world.until(world.t + 1.0)
-    world.order(Order.ACKNOWLEDGE)
-    world.until(world.t + 3.0)
+    world = World().bring_to(Mode.ENGAGED)
+    world.fault("delay", "pose", amount=late, then=1.0)
+    world.order(Order.ACKNOWLEDGE, then=3.0)
     assert world.mode is Mode.STANDBY
     assert f"{1e3 * late - 1.0:.0f} ms of it by its time stamp" in world.query().text
 
@@ -455,8 +437,7 @@ def test_what_a_controller_notes_is_the_controllers_and_for_the_recording_only(t
 
 
 def test_the_end_of_the_process_says_why() -> None:
-    world = World()
-    world.bring_to(Mode.ENGAGED)
+    world = World().bring_to(Mode.ENGAGED)
     world.handle(End(world.t, "the bus is lost"))
     world.until(world.t + 0.3)
     world.order(Order.ARM)
@@ -487,8 +468,7 @@ def enabled_by_others(world: World, on: float = math.inf, off: float = 0.0) -> N
 
 @pytest.mark.parametrize("mode", [m for m in Mode if m is not Mode.ENGAGED])
 def test_a_kit_that_stays_enabled_is_told_whatever_the_state(mode: Mode) -> None:
-    world = World()
-    world.bring_to(mode)
+    world = World().bring_to(mode)
     assert "not by us" not in world.query().text
     enabled_by_others(world)
     world.until(world.t + 0.5)
@@ -509,8 +489,7 @@ def test_a_kit_that_stays_enabled_is_told_whatever_the_state(mode: Mode) -> None
 def test_a_kit_that_others_enable_is_a_fault_and_nobody_engages(
     on: float, off: float, lets_go: bool, within: float, modes: list[Mode]
 ) -> None:
-    world = World()
-    world.bring_to(Mode.ENGAGED if lets_go else Mode.READY)
+    world = World().bring_to(Mode.ENGAGED if lets_go else Mode.READY)
     enabled_by_others(world, on, off)
     began, seen = world.t, len(world.modes)
     if lets_go:
@@ -532,6 +511,5 @@ def test_a_kit_that_others_enable_is_a_fault_and_nobody_engages(
     vars(world.car).pop("advance")
     world.until(world.t + 1.0)
     assert world.mode is Mode.FAULT, "latched"
-    world.order(Order.ACKNOWLEDGE)
-    world.until(world.t + 0.3)
+    world.order(Order.ACKNOWLEDGE, then=0.3)
     assert world.mode is Mode.READY

@@ -96,11 +96,9 @@ def steered_by(world: World, seconds: float) -> set[str]:
 
 
 def test_a_net_steers_while_engaged_and_trusted_and_never_else() -> None:
-    world = world_of(policy())
-    world.bring_to(Mode.READY)
+    world = world_of(policy()).bring_to(Mode.READY)
     assert steered_by(world, 0.3) == {"recovery"}, "the human has the wheel"
-    world.order(Order.ENGAGE)
-    world.until(world.t + 0.05)
+    world.order(Order.ENGAGE, then=0.05)
     assert "net" in steered_by(world, 0.15)
     world.follow.trusted = False
     world.until(world.t + 0.05)
@@ -109,21 +107,18 @@ def test_a_net_steers_while_engaged_and_trusted_and_never_else() -> None:
     world.follow.trusted = True
     world.until(world.t + 0.05)
     assert "net" in steered_by(world, 0.5)
-    world.order(Order.DISENGAGE)
-    world.until(world.t + 0.1)
+    world.order(Order.DISENGAGE, then=0.1)
     assert steered_by(world, 0.5) == {"recovery"}
 
 
 def test_while_a_human_steers_the_controller_settles_on_the_wheel_as_it_is() -> None:
-    world = world_of()
-    world.bring_to(Mode.READY)
+    world = world_of().bring_to(Mode.READY)
     number = world.run.loop.names.index("controller")
     for _ in range(10):
         world.until(world.t + 0.05)
         assert world.run.x[number] == world.run.loop.settled("controller", world.run.y)
         assert world.run.x[number].command == world.run.sample["car.delta_sw"]
-    world.order(Order.ENGAGE)
-    world.until(world.t + 0.3)
+    world.order(Order.ENGAGE, then=0.3)
     assert world.run.x[number].command == world.run.sample["controller.delta_sw"]
 
 

@@ -27,8 +27,7 @@ def tell(it: SimulatedCar, angle: float, *, enable: bool = True, clear: bool = F
 def test_a_pose_as_often_as_the_configuration_says_is_driven_by(tmp_path: Path, period: float) -> None:
     text = shipped("dbw-kit.toml").read_text(encoding="utf-8").replace("period = 0.01 }", f"period = {period} }}")
     (tmp_path / "car.toml").write_text(text)
-    world = World(config=load(tmp_path / "car.toml"))
-    world.bring_to(Mode.ENGAGED)
+    world = World(config=load(tmp_path / "car.toml")).bring_to(Mode.ENGAGED)
     world.until(3.0)
     assert world.mode is Mode.ENGAGED
     poses = [event for event, _ in world.events if isinstance(event, Frame) and event.frame_id == 0x120]
