@@ -17,7 +17,6 @@ from steerkit.paths.courses import circle
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import controller, drive_loop
 from steerkit.vehicles import VW_PASSAT as PASSAT
-from tests.support.ranges import keeps_range
 from tests.support.steered_car import answered, steered
 
 HERE = dict(e=0.02, psi_e=0.01, kappa=0.01, v=6.0, r=0.05, delta_sw_meas=0.01)
@@ -86,16 +85,6 @@ def test_beliefs_move_by_half_a_second_a_second_and_a_tenth_towards_valid_estima
             assert believed == pytest.approx(after if valid else before)
 
 
-def test_beliefs_stay_at_a_standstill_and_with_inputs_that_are_no_numbers() -> None:
-    block = adaptive(prior_delay=0.04)
-    for wrong in ({"v": 0.0}, {"v": math.nan}, {"r": math.nan}):
-        u = block.U(**HERE | wrong)
-        x = block.settle(0.0, block.init(), block.U(**HERE))
-        for _ in range(100):
-            x = block.update(0.0, x, u, block.Y(0.3))
-        assert x[-2:] == (0.04, 1.0)
-
-
 def test_the_ratio_is_estimated_behind_the_estimated_dead_time_not_the_believed_one() -> None:
     states = []
     for prior in (0.0, 0.1):
@@ -162,15 +151,6 @@ def test_on_standby_it_keeps_its_estimates_and_learns_nothing_from_its_own_comma
     assert estimates(long)[2:] != pytest.approx(estimates(once)[2:], abs=1e-6), "now they have"
 
 
-def test_commands_faster_than_a_wheel_can_turn_do_not_change_the_ratio() -> None:
-    block = adaptive()
-    x = block.settle(0.0, block.init(), block.U(**HERE))
-    before = block.steering.output(0.0, block._states(x)[-1], ()).ratio
-    for k in range(200):
-        x = block.update(0.05 * k, x, block.U(**HERE | {"r": 0.2 * (-1.0) ** (k // 20)}), block.Y(2.0 * (-1.0) ** k))
-    assert block.steering.output(0.0, block._states(x)[-1], ()).ratio == pytest.approx(before, abs=1e-9)
-
-
 def rms(name: str, scenario: Scenario) -> tuple[float, float]:
     """RMS e from 30 s to the end of the round, and the largest |e| from 1 s on [m]."""
     loop = drive_loop(scenario, controller(name, scenario))
@@ -181,22 +161,9 @@ def rms(name: str, scenario: Scenario) -> tuple[float, float]:
     return float(np.sqrt(np.mean(e[600:] ** 2))), float(np.abs(e[20:]).max())
 
 
-_LATE = {"steering": {"delay": 0.2}, "knowledge": {"delay": 0.0}}
-_ALL = {"vehicle": {"ratio": 1.25}, "steering": {"offset_deg": 3.0, "delay": 0.2}, "knowledge": {"delay": 0.0}}
-
-
-@pytest.mark.parametrize(
-    ("fixed", "adapting", "wrong"),
-    [
-        ("stanley-delay", "stanley-adaptive", {"vehicle": {"ratio": 1.25}}),
-        ("stanley-delay", "stanley-adaptive", {"steering": {"offset_deg": 3.0}}),
-        ("stanley-delay", "stanley-adaptive", _LATE),
-        ("lqr", "lqr-adaptive", _ALL),
-    ],
-)
-def test_it_drives_nearly_as_well_as_one_that_knows_the_true_parameters(
-    fixed: str, adapting: str, wrong: dict[str, Any]
-) -> None:
+@pytest.mark.parametrize(("fixed", "adapting"), [("stanley-delay", "stanley-adaptive"), ("lqr", "lqr-adaptive")])
+def test_it_drives_nearly_as_well_as_one_that_knows_the_true_parameters(fixed: str, adapting: str) -> None:
+    wrong = {"vehicle": {"ratio": 1.25}, "steering": {"offset_deg": 3.0, "delay": 0.2}, "knowledge": {"delay": 0.0}}
     off = Scenario(course={"name": "paper", "rounds": 0.35}, **wrong)
     truth = rms(fixed, off.with_(knowledge={"oracle": True, "delay": None}))[0]
     plain, adapts = rms(fixed, off), rms(adapting, off)
@@ -214,7 +181,5 @@ def test_what_it_is_not_made_for() -> None:
         adaptive(blocks=(SOFT, PurePursuit.of(PASSAT, circle())))
     with pytest.raises(ValueError, match="expected among them v, r"):
         adaptive(blocks=(PurePursuit.of(PASSAT, circle()),) * 2)
-
-
-def test_what_it_begins_with_is_among_its_dead_times() -> None:
-    keeps_range(adaptive, "prior_delay", "[0.0, 0.1]")
+    with pytest.raises(ValueError, match=r"prior_delay = 0.11 .*expected 0 to 0.1"):
+        adaptive(prior_delay=0.11)

@@ -10,10 +10,8 @@ import pytest
 
 from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, CourseMotion, DelayCompensator, felt, moved
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.learning.nfq.iterate import STANDARD, mirror_image
 from steerkit.learning.nfq.rprop import new_net
 from steerkit.task import DT
-from tests.support.ranges import keeps_range
 
 CAR = DelayCompensator(samples=5, now=0.004, before=0.005, earlier=0.003, back=0.2, slip=4e-4, yaw=0.38, straight=0.05)
 FAST = replace(CAR, slip=0.0, loss=1.2e-3, yaw=1.0 / LENGTH, nose=0.9, tail=2e-3, fast=1.0)
@@ -141,23 +139,7 @@ def test_the_action_between_is_the_lowest_point_of_the_parabola() -> None:
     assert policy._between([5.0, 4.0, 3.0, 2.0, 1.0], policy._order[-1]) == policy._order[-1]  # at the end of the set
 
 
-def test_a_net_and_its_mirror_image_steer_a_car_that_is_the_same_in_the_mirror() -> None:
-    net = new_net(seed=3)
-    policy = NfqPolicy(nets=(net, mirror_image(net, STANDARD)), actions=(-0.4, -0.1, 0.0, 0.1, 0.4), continuous=True)
-    s = np.random.default_rng(0).normal(0.0, 0.3, (6, 200))
-    s[2] = 6.0
-    here = policy.output(0.0, (), policy.D(*s))
-    there = policy.output(0.0, (), policy.D(*(np.array(STANDARD.mirror_signs)[:, None] * s)))
-    np.testing.assert_allclose(here.q, there.q, atol=1e-15)
-    np.testing.assert_allclose(here.action, -there.action, atol=1e-9)
-
-
-def test_numbers_out_of_range_are_refused() -> None:
-    keeps_range(DelayCompensator, "samples", f"[0, {LONGEST}]")
-    keeps_range(DelayCompensator, "trust", "(0.0, 1.0]")
-    keeps_range(DelayCompensator, "trust_course", "(0.0, 1.0]")
-    with pytest.raises(ValueError, match="samples"):
-        DelayCompensator(samples=2.0)
+def test_a_forecast_without_its_preview_is_refused() -> None:
     with pytest.raises(ValueError, match="preview_points"):
         NfqPolicy(forecast=DelayCompensator())
 

@@ -8,7 +8,6 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from steerkit.controllers.lateral import DT, PREVIEW, STEER, LateralMpc
-from steerkit.diagram.maths import filled
 
 TOLD = LateralMpc.told(0.3, 0.15)
 
@@ -100,16 +99,6 @@ def test_mirrored_it_answers_mirrored() -> None:
     _, mirrored, _ = followed(block, -target, 1.5, roll=-0.3)
     assert commands == pytest.approx([-c for c in mirrored], abs=1e-12)
     assert max(map(abs, commands)) == STEER
-
-
-def test_a_nan_gives_nan_and_is_forgotten() -> None:
-    block = LateralMpc(response=TOLD)
-    x = block.init()
-    u = seen(block, 0.3, math.nan)
-    y = block.output(0.0, x, u)
-    assert math.isnan(y.a_y_cmd)
-    assert block.update(0.0, x, u, y) == x
-    assert filled(0.0) == x[0]
 
 
 @pytest.mark.parametrize(

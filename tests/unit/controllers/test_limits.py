@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.controllers.limits import approach_angle, limited
-from steerkit.vehicles.rollout import slewed
 
 CAR: dict[str, Any] = dict(
     wheelbase=2.71, l_r=1.49, understeer=0.002, steer_ratio=15.6, rate_limit=9.6, slew=None, limit=9.07, dt=0.05
@@ -86,9 +85,3 @@ def test_a_path_that_needs_more_is_followed_with_a_reserve_up_to_what_the_car_ca
         wheel = within(99.0, wheel, v, 2.0, needed, a_y_limit=most)
     steady = CAR["steer_ratio"] * (math.atan(CAR["wheelbase"] * a_y / v**2) + CAR["understeer"] * a_y)
     assert wheel == pytest.approx(steady, rel=1e-6)
-
-
-def test_a_car_steered_by_torque_turns_its_wheel_no_faster_than_its_slew() -> None:
-    assert within(9.0, 0.0, 12.0, 3.0, slew=5.0) == pytest.approx(
-        0.05 * slewed(SimpleNamespace(**CAR | {"slew": 5.0}), 12.0)
-    )

@@ -155,15 +155,6 @@ def test_its_gains_reach_as_fast_as_a_scenario_may_be() -> None:
     assert law.v_min + law.v_step * (len(law.table) - 1) == Scenario(driver={"v_min": 40.0, "v_max": 40.0}).driver.v_max
 
 
-def test_standstill_reverse_and_nan_give_a_defined_command() -> None:
-    lqr = Lqr.of(PASSAT, MATRICES, delay=0.1, v_step=2.0, preview_points=3)
-    u = dict(e=0.2, e_dot=0.0, preview=(0.0,) * 3, v=0.0, beta=0.0, r=0.0, delta_sw_meas=0.0)
-    for v in (0.0, -3.0, 50.0):
-        assert math.isfinite(lqr.output(0.0, lqr.init(), lqr.D(**(u | {"v": v}))).delta_sw)
-    after = lqr.update(0.0, lqr.init(), lqr.U(**u), lqr.Y(math.nan))
-    assert all(map(math.isfinite, after))
-
-
 def test_for_a_wheel_steered_by_torque_steps_cost_more_and_an_error_counts_up_to_half_a_metre() -> None:
     """A step that costs 1 is 1.2 of what the slew allows in a sample, slew dt (L/v^2 + K), and 0.02 rad at most."""
     lqr = Lqr.of(PASSAT, MATRICES, preview_points=2, v_min=4.0, v_max=20.0, v_step=8.0, slew=2.0)
@@ -205,12 +196,10 @@ def test_it_refuses_designs_that_cannot_be() -> None:
     with pytest.raises(ValueError, match=r"LqrDesign: delay = 2.1 \[s\], expected 0 to 2"):
         design(delay=2.1)
     lqr = Lqr.of(PASSAT, MATRICES, preview_points=2, v_min=4.0, v_max=5.0)
-    assert replace(lqr, preview_points=2)._waiting == 1
     with pytest.raises(ValueError, match="table of 8 columns"):
         replace(lqr, preview_points=3)
     with pytest.raises(ValueError, match="preview_points = 0"):
         Lqr.of(PASSAT, MATRICES, preview_points=0)
-    assert Lqr.of(PASSAT, MATRICES, preview_points=1, v_min=4.0, v_max=5.0).preview_points == 1
     for speeds in ({"v_min": 0.0}, {"v_min": 5.0, "v_max": 5.0}, {"v_step": 0.0}):
         with pytest.raises(ValueError, match=r"Lqr: speeds .* m/s"):
             Lqr.of(PASSAT, MATRICES, **speeds)

@@ -65,10 +65,10 @@ def test_an_offset_of_the_wheel_leaves_what_the_law_says_and_nothing_with_it(
 
 
 @pytest.mark.parametrize(
-    ("name", "wrong"), [("stanley", OFF), ("lqr", {"disturbances": {"bank_deg": 3.0}}), ("mpc", OTHER_CAR)]
+    ("name", "wrong"), [("stanley", OFF | OTHER_CAR), ("lqr", {"disturbances": {"bank_deg": 3.0}})]
 )
 def test_in_a_steady_bend_neither_offset_nor_bank_nor_ratio_leaves_an_error(name: str, wrong: dict[str, Any]) -> None:
-    bent = STRAIGHT.with_(course={"name": "circle", "rounds": 1.0}, **wrong)
+    bent = STRAIGHT.with_(course={"name": "circle", "rounds": 0.8}, **wrong)
     assert abs(at_the_end("stanley-delay" if name == "stanley" else name, bent)) > 5e-3
     assert abs(at_the_end(f"{name}-offset-free", bent)) < 1e-3
 
@@ -174,17 +174,6 @@ def test_where_it_stands_still() -> None:
     assert abs(z_after(replace(block, most=0.2), (*x[:-5], -0.2, 0.0, 0.0, 0.01, -0.3))) == 0.2
 
 
-def test_a_gap_in_what_is_measured_is_forgotten() -> None:
-    block = OffsetFree.around(Stanley.of(PASSAT), PASSAT)
-    x = block.settle(0.0, block.init(), block.U(**HERE))
-    for e in (0.01, math.nan, 0.01, 0.01):
-        y = block.output(0.0, x, block.D(**HERE | {"e": e}))
-        x = block.update(0.0, x, block.U(**HERE | {"e": e}), y)
-    assert all(map(math.isfinite, x))
-    assert x[-5] == pytest.approx(-2.0 * block.steer_ratio / 9.0 * 0.05 * 0.01)  # of the first sample and the last
-    assert x[-4] == pytest.approx(2.0 * block.dt)
-
-
 def test_the_wrapped_law_goes_on_from_its_own_angle() -> None:
     block = OffsetFree(block=Stanley.of(PASSAT))
     x = block.settle(0.0, block.init(), block.U(**HERE))
@@ -245,4 +234,3 @@ def test_what_they_are_not_made_for() -> None:
     for kind in (OffsetFree, CommandCompensation):
         with pytest.raises(ValueError, match="expected among them delta_sw"):
             kind(block=ConstantSpeed())
-    assert radians_of(5.0) == Scenario(steering={"offset_deg": 5.0}, knowledge={"oracle": True}).design_model().offset

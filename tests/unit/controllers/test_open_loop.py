@@ -61,13 +61,7 @@ def test_another_number_begins_anew_in_the_middle_of_a_drive() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"wave": (0.0,)}, "a wave of 1 samples"),
-        ({"wave": (0.0, float("nan"))}, "wave"),
-        ({"amplitude": float("nan")}, "amplitude"),
-        ({"wait": -1.0}, "wait"),
-    ],
+    ("wrong", "said"), [({"wave": (0.0,)}, "a wave of 1 samples"), ({"wave": (0.0, float("nan"))}, "wave")]
 )
 def test_what_is_no_wave_is_refused(wrong: dict[str, Any], said: str) -> None:
     with pytest.raises(ValueError, match=said):

@@ -1,20 +1,10 @@
 """What the learner's state is made of: scaled, seen in a mirror, and refused where that has no meaning."""
 
-import numpy as np
 import pytest
 
 from steerkit.controllers.policy import StateDescription
-from steerkit.task import STOP
 
 STANDARD = StateDescription()
-
-
-def test_ranges_are_centres_and_half_widths() -> None:
-    np.testing.assert_allclose(STANDARD.mid - STANDARD.half, STANDARD.low, atol=1e-15)
-    np.testing.assert_allclose(STANDARD.mid + STANDARD.half, STANDARD.high, atol=1e-15)
-    assert STANDARD.half.tolist() == [1.0, 2.0, 5.0, 0.6, 0.6, STOP]
-    assert STANDARD.mid.tolist() == [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]
-    assert STANDARD.goal == (0.02, 0.02, 1.0, 0.02, 0.02, 1.0)
 
 
 def test_the_scale_of_actions_is_the_largest_unless_it_is_given() -> None:

@@ -10,7 +10,7 @@ import pytest
 from steerkit.diagram.units import radians_of
 from steerkit.estimators.estimate import Estimated, estimated
 from steerkit.estimators.single_track_filter import SingleTrackFilter
-from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, gaps, quantities, steered
+from tests.support.steered_car import PASSAT, Signals, answered, driven_fast, quantities, steered
 
 BLOCK = SingleTrackFilter(vehicle=PASSAT, gyro_scale=0.0, bank=0.0)
 """Of a gyro that is right, on level roads."""
@@ -131,18 +131,6 @@ def test_zeros_stay_known_where_a_ratio_is_forgotten() -> None:
     for name, prior in (("offset", block.offset_prior), ("rate_zero", block.rate_zero_prior)):
         widened = math.sqrt(after[name].deviation ** 2 - before[name].deviation ** 2)
         assert widened == pytest.approx(walk * prior, rel=0.05)
-
-
-def test_gaps_and_outliers_do_no_harm() -> None:
-    signals = sensed(drive(90.0), zero=0.004)
-    mask, few = gaps(len(signals["r"])), np.arange(len(signals["r"])) % 97 == 0
-    for name in ("r", "psi"):
-        signals[name] = np.where(mask, np.nan, signals[name])
-    signals["r"] = np.where(few, 5.0, signals["r"])
-    signals["delta_sw"] = np.where(np.roll(few, 7), np.nan, signals["delta_sw"])
-    got = found(driven_fast(BLOCK, signals))
-    assert got["ratio"].value == pytest.approx(1.2, rel=0.03)
-    assert got["offset"].value == pytest.approx(radians_of(3.0), abs=radians_of(0.5))
 
 
 def test_while_the_delay_is_hardly_known_fast_turns_count_for_less() -> None:

@@ -98,7 +98,7 @@ def test_without_excitation_the_prior_stays_and_is_not_valid(block: DelayBank) -
 @pytest.mark.parametrize("bound", ["stop", "rate_limit"])
 def test_commands_that_the_motor_cannot_follow_are_left_out(bound: str) -> None:
     """In two of 20 seconds a command beyond the stop, or one that jumps to and fro: the motor stays calm."""
-    calm = steered(120.0)
+    calm = steered(60.0)
     signals, k = answered(calm, delay=0.1, lag=0.2), np.arange(len(calm))
     wild = np.abs(calm) + STOP if bound == "stop" else calm + radians_of(50.0) * (-1.0) ** k
     signals["delta_sw_cmd"] = np.where(k % 400 < 40, wild, calm)

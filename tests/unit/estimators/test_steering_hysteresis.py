@@ -24,7 +24,7 @@ def said(block: SteeringFriction, x: Any) -> Estimated:
 
 @pytest.mark.parametrize("degrees", [0.0, 0.4, 1.5])
 def test_friction_is_found_within_a_tenth(degrees: float) -> None:
-    found = said(FRICTION, driven_fast(FRICTION, worn(120.0, friction_deg=degrees)))
+    found = said(FRICTION, driven_fast(FRICTION, worn(80.0, friction_deg=degrees)))
     assert found.valid == 1.0
     assert found.low <= radians_of(degrees) <= found.high
     assert found.value == pytest.approx(radians_of(degrees), rel=0.025, abs=radians_of(0.005))
@@ -62,7 +62,7 @@ def test_a_lag_that_is_hardly_known_is_in_the_interval_until_another_is_found() 
 
 @pytest.mark.parametrize("longer", [-0.03, 0.05])
 def test_a_lag_that_is_given_wrong_is_not_taken_for_friction(longer: float) -> None:
-    signals = worn(120.0, friction_deg=0.7)
+    signals = worn(80.0, friction_deg=0.7)
     given = {"delay": signals["delay"] - longer, "lag": signals["lag"] + longer, "lag_deviation": 0.05 + signals["lag"]}
     found = said(FRICTION, driven_fast(FRICTION, signals | given))
     assert found.low <= radians_of(0.7) <= found.high

@@ -272,7 +272,7 @@ def test_after_a_hard_stop_the_next_start_is_seen() -> None:
 
 
 def test_zeros_are_found_and_said_to_be_known() -> None:
-    tape = driven(5, 150.0)
+    tape = driven(5, 100.0)
     rows = tape.rows()
     gyro, wheel, heading = radians_of(0.4), radians_of(2.0), radians_of(0.8)
     for row in rows:

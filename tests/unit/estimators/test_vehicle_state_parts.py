@@ -1,34 +1,24 @@
-"""The parts of the vehicle-state estimator: measurements by their age, a stiff step of the car, and the correction."""
+"""The parts of the vehicle-state estimator: measurements by their age, and a stiff step of the car."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 
 from steerkit.diagram.maths import rk4
-from steerkit.estimators.kalman import Covariance
 from steerkit.estimators.vehicle_state import (
-    D_X,
-    GYRO,
-    HEADING,
-    PSI,
     SIZE,
     SWAY,
     WHEEL,
     A,
     Measured,
-    Memory,
     R,
     V,
-    VehicleState,
-    X,
     course,
     motion_rows,
     moved,
     reach_of,
     sorted_in,
-    turned_on,
 )
 from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack, SingleTrack
 from steerkit.vehicles import VW_PASSAT
@@ -71,14 +61,6 @@ def test_pose_and_motion_have_their_own_ages() -> None:
     assert (slots[2].x, slots[0].r, slots[0].v) == (1.0, 0.2, 5.0)
     assert math.isnan(slots[0].x)
     assert math.isnan(slots[2].r)
-
-
-def test_what_a_wheel_turns_unheard_is_not_left_in_its_zero() -> None:
-    assert turned_on(1.0, 0.0, 0.1, 1.2) == (1.0, 1.2, 0.1, 0.0, 0.0)
-    for nonsense in (NAN, math.inf, 1e9):
-        assert turned_on(1.0, 0.0, 0.1, nonsense) == (1.0, 1.0, 0.1, 1.0, 1.0)
-    # the filter has found that it turned by 0.6 in the meantime
-    assert turned_on(1.0, 1.0, 0.7, 1.6) == pytest.approx((1.6, 1.6, 0.1, 0.0, 1.0))
 
 
 H = 0.05
@@ -148,103 +130,3 @@ def test_speed_and_sideslip(plant: SingleTrack) -> None:
     assert speed == pytest.approx(np.hypot(dx, dy) / 1e-3, rel=1e-4)
     assert beta == pytest.approx(np.arctan2(dy, dx) - x[2], abs=1e-3)
     assert course(plant.rhs, 0.0, 0.0, 0.1, 0.0) == (0.0, 0.0)
-
-
-RHS = NonlinearSingleTrack(vehicle=VW_PASSAT).rhs
-FILTER = VehicleState(
-    rhs=RHS, position_noise=0.01, psi_noise=0.001, v_noise=0.05, r_noise=0.003, gate=4.0, patience=0.2
-)
-MEAN = tuple(5.0 if i == V else 0.0 for i in range(13))
-NOTHING = Measured(NAN, NAN, NAN, NAN, NAN, NAN)
-
-
-def known(deviation: float = 0.01) -> Covariance:
-    return [[deviation**2, *[0.0] * (12 - i)] for i in range(13)]
-
-
-def after(
-    due: Measured, memory: Memory | None = None, p: Covariance | None = None
-) -> tuple[tuple[float, ...], Covariance, Memory]:
-    mean, wider, kept = FILTER._corrected(MEAN, p or known(), due, memory or Memory(*[0.0] * 14), 0.0)
-    return tuple(mean), wider, kept
-
-
-def test_nothing_measured_changes_nothing_but_the_time() -> None:
-    mean, p, memory = after(NOTHING)
-    assert mean == MEAN
-    assert p == known()
-    assert memory.unseen == pytest.approx(0.05)
-    assert (memory.nis, memory.nis_count, memory.rejected) == (0.0, 0.0, 0.0)
-
-
-def test_a_position_is_shared_between_car_and_sensor_by_what_is_known_of_them() -> None:
-    p = known()
-    p[D_X][0] = 0.02**2
-    mean, _, memory = after(NOTHING._replace(x=0.03, y=0.0, lead=0.0), p=p)
-    assert mean[D_X] == pytest.approx(4.0 * mean[X])
-    assert mean[X] == pytest.approx(0.03 * 1e-4 / (1e-4 + 4e-4 + 1e-4), rel=1e-3)
-    assert (memory.unseen, memory.nis_count) == (0.0, 2.0)
-    assert memory.nis == pytest.approx(0.03**2 / 6e-4, rel=1e-3)
-
-
-def test_an_older_pose_is_moved_along_the_course() -> None:
-    mean, _, memory = after(NOTHING._replace(x=-0.02, y=0.0, lead=0.004))
-    assert mean[X] == pytest.approx(0.0, abs=1e-9)
-    assert memory.rejected == 0.0
-
-
-def test_each_measurement_is_judged_by_what_is_known_after_those_before() -> None:
-    """The speed settles what the yaw rate is taken against, if they go together."""
-    p = known(0.1)
-    p[R][0], p[GYRO][0] = 0.1**2, 0.0
-    p[R][V - R] = 0.999 * 0.1**2
-    mean, _, memory = after(NOTHING._replace(v=5.1, r=0.1), p=p)
-    assert memory.nis < 4.0
-    assert mean[R] == pytest.approx(0.1, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("channel", "states"), [("x", (X, D_X)), ("psi", (PSI, HEADING)), ("r", (R, GYRO)), ("v", (V,))]
-)
-def test_a_jump_is_rejected_until_it_has_lasted(channel: str, states: tuple[int, ...]) -> None:
-    before = dict(zip(["x", "y", "psi", "v", "r"], (0.0, 0.0, 0.0, 5.0, 0.0)))
-    far: Any = Measured(**(before | {channel: before[channel] + 1.0}), lead=0.0)
-    memory = Memory(*[0.0] * 14)
-    for _ in range(4):
-        mean, p, memory = after(far, memory)
-        assert memory.rejected == 1.0
-        assert sum(mean[i] - MEAN[i] for i in states) == pytest.approx(0.0, abs=1e-9)
-    mean, p, memory = after(far, memory)
-    assert memory.rejected == 0.0
-    assert sum(mean[i] - MEAN[i] for i in states) == pytest.approx(1.0, abs=0.05)
-    assert p[states[0]][0] > (0.4 if len(states) == 2 else 0.001)
-
-
-def test_one_that_comes_back_in_time_is_forgotten() -> None:
-    far, near = (NOTHING._replace(x=x, y=0.0, lead=0.0) for x in (1.0, 0.0))
-    memory = Memory(*[0.0] * 14)
-    for due in (far, far, far, near, far, far, far):
-        _, _, memory = after(due, memory)
-    assert memory.position == pytest.approx(0.15)
-    assert memory.rejected == 1.0
-
-
-def test_innovations_of_one_sign_add_up() -> None:
-    memory = Memory(*[0.0] * 14)
-    due = NOTHING._replace(x=0.0, y=0.03, psi=0.0, lead=0.0, v=5.0, r=-0.005)
-    for _ in range(40):
-        _, _, memory = after(due, memory)
-    assert memory.aside == pytest.approx(0.03 / math.sqrt(3e-4), rel=0.05)
-    assert memory.turning < -0.1
-    assert memory.turned == pytest.approx(0.0, abs=0.1)
-
-
-def test_doubt_raises_the_noise_of_wheel_sideslip_and_yaw_rate() -> None:
-    """Innovations to the side whose mean, squared, is three times that from which on the car is doubted: excess 2."""
-    aside = math.sqrt(3.0 * 7.0 * 0.1 / 1.9)  # a mean over 0.5 s of samples of 50 ms varies by 0.1/(2 - 0.1)
-    rows = [{i: 0.8} for i in range(6)]
-    calm, doubted = (FILTER._noise(5.0, rows, 0.0, 0.0, Memory(*[0.0] * 14)._replace(aside=a)) for a in (0.0, aside))
-    assert doubted[SWAY] - calm[SWAY] == pytest.approx(25.0 * 2.0 * math.radians(0.3) ** 2)
-    assert doubted[WHEEL] - calm[WHEEL] == pytest.approx(2.0 * math.radians(0.6) ** 2)
-    assert doubted[R] == pytest.approx(3.0 * calm[R])
-    assert calm[R] == pytest.approx(0.36 * (2e-4 * 5.0) ** 2)

@@ -69,34 +69,6 @@ def test_the_wheel_is_that_of_the_data_sheets_car_and_the_gyro_is_without_its_ze
     assert abs(plain.wheel_offset) > 1e-3  # it has found that wheel and gyro do not go together
 
 
-def test_the_motion_goes_to_the_filter_a_sample_later_with_the_wheel_of_then() -> None:
-    block = ADAPTIVE
-    x, own = block.settle(0.0, block.init(), measured(block, block.U(**HERE))), STEERING.init()
-    before = (math.nan,) * 4
-    for k in range(20):
-        u = block.U(**HERE | {"r_in": 0.1 * math.sin(0.2 * k), "delta_sw_meas": math.sin(0.2 * k + 0.3)})
-        x = block.update(0.0, x, u, None)
-        v, r, psi, age = before
-        own = STEERING.update(0.0, own, STEERING.U(u.delta_sw_meas, v, r, psi, age + 0.05, 0.0, 0.01, 1.0), None)
-        before = (u.v_in, u.r_in, u.psi_in, u.motion_age_in)
-        assert x[FIRST:END] == own
-
-
-def test_the_wheel_is_that_of_the_last_speed_that_was_measured() -> None:
-    block = ADAPTIVE
-    x = using(block.settle(0.0, block.init(), measured(block, block.U(**HERE))), understeer=0.01)
-    for v, expected in ((5.0, 5.0), (math.nan, 5.0)):
-        u = block.U(**HERE | {"v_in": v})
-        x = block.update(0.0, x, u, block.output(0.0, x, measured(block, u)))
-        assert block._followed(x).speed == expected
-    x = using(x, understeer=0.01)
-    k, length = VW_PASSAT.understeer_gradient, VW_PASSAT.wheelbase
-    bent = (length + k * 25.0) / (length + 0.01 * 25.0)
-    y = block.output(0.0, x, measured(block, u))
-    assert y.r == pytest.approx(PLAIN.output(0.0, x[:FIRST], PLAIN.U(**HERE | {"delta_sw_meas": bent * 0.4})).r)
-    assert y.r != block.output(0.0, using(x, understeer=k), block.U(**HERE)).r
-
-
 @pytest.mark.parametrize(
     ("name", "before", "value", "valid", "after"),
     [

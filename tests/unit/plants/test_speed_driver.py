@@ -7,7 +7,7 @@ import pytest
 
 from steerkit.paths.courses import circle, course
 from steerkit.paths.path import Path
-from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, Playback, SpeedDriver, SpeedProfile
+from steerkit.plants.speed_driver import CurveSpeedDriver, Playback, SpeedDriver, SpeedProfile
 from tests.support.stepped import run
 
 
@@ -42,11 +42,6 @@ def test_it_is_stationary_from_the_start():
     moments.append(np.cov(np.array(x[:2])))
     assert moments[0] == pytest.approx(moments[1], abs=0.04)
     assert moments[0][0, 0] == pytest.approx(1.0, abs=0.03)
-
-
-def test_constant_speed():
-    assert speeds(ConstantSpeed(speed=6.5), 3).tolist() == [6.5] * 3
-    assert speeds(ConstantSpeed(speed=np.array([4.0, 5.0])), 2, (2,)).tolist() == [[4.0, 5.0]] * 2
 
 
 def test_speed_profile_over_progress():

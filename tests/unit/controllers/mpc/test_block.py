@@ -87,41 +87,19 @@ def test_a_car_that_stands_or_reverses_keeps_its_wheel(kind: Any, v: float) -> N
     assert driven(block, [inputs(block, v=0.0), inputs(block, v=5.0)])[1].status == 0.0
 
 
-@kinds
-@pytest.mark.parametrize(
-    "start",
-    [
-        {"e": 3.0, "psi_e": 0.8, "v": 9.0},
-        {"e": -40.0},
-        {"psi_e": 3.1},
-        {"v": 0.11},
-        {"v": 300.0},
-        {"r": 9.0, "beta": 1.5},
-        {"delta_sw_meas": 20.0},
-        {"kappa": 40.0},
-        *[{name: 1e300} for name in ZEROS],
-        {"kappa": -1e300},
-    ],
-)
-def test_a_start_beyond_all_limits_has_a_command(kind: Any, start: dict[str, float]) -> None:
-    block = controller(kind)
-    y = driven(block, [inputs(block, **start)] * 8)
-    last = min(max(start.get("delta_sw_meas", 0.0), -block.limit), block.limit)
-    checked(block, y, last)
-    if start.get("e") == 3.0:
-        assert {row.status for row in y} == {0.0}
+beyond = st.sampled_from([40.0, 1e300, -1e300])
 
 
-@settings(max_examples=60)
+@settings(max_examples=80)
 @given(
     kind=st.sampled_from(KINDS),
-    e=st.floats(-5, 5),
-    psi_e=st.floats(-3.2, 3.2),
-    v=st.floats(-5, 30),
-    beta=st.floats(-1.5, 1.5),
-    r=st.floats(-3, 3),
-    wheel=st.floats(-9.5, 9.5),
-    kappa=st.floats(-0.3, 0.3),
+    e=st.floats(-5, 5) | beyond,
+    psi_e=st.floats(-3.2, 3.2) | beyond,
+    v=st.floats(-5, 30) | beyond,
+    beta=st.floats(-1.5, 1.5) | beyond,
+    r=st.floats(-3, 3) | beyond,
+    wheel=st.floats(-9.5, 9.5) | beyond,
+    kappa=st.floats(-0.3, 0.3) | beyond,
 )
 def test_every_command_keeps_the_limits(kind: Any, wheel: float, kappa: float, **values: float) -> None:
     block = controller(kind)
@@ -216,18 +194,6 @@ def test_the_fallbacks_errors_are_those_of_its_own_point(reference: float, side:
     assert found == pytest.approx(expected, abs=0.045)  # 2 mm and 2 mrad
 
 
-def test_without_beta_the_fallback_is_asked_where_the_car_will_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    block = controller()
-    u = inputs(block, e=0.02, kappa=0.0)
-    x = block.settle(0.0, block.init(), u)
-    broken = block.output(0.0, x, u._replace(beta=math.nan))
-    unsolved(monkeypatch, success=0.0)
-    failed = block.output(0.0, x, u)
-    assert (broken.status, failed.status) == (2.0, 2.0)
-    assert broken.delta_sw == pytest.approx(failed.delta_sw, abs=1e-12)
-    assert 0.05 < -broken.delta_sw < 0.4
-
-
 @pytest.mark.parametrize(("kind", "e", "psi_e_deg"), [(MPC, 3.0, 30.0), (NonlinearMPC, -3.0, -45.0)])
 def test_a_start_far_off_and_askew_is_recovered(kind: Any, e: float, psi_e_deg: float) -> None:
     loop = loop_of(kind.of(CAR, **STEERING), path=straight(120.0), e=e, psi_e=math.radians(psi_e_deg))
@@ -300,14 +266,7 @@ def test_a_batch_is_solved_car_by_car(kind: Any) -> None:
         one = driven(block, [inputs(block, e=float(e[car]))])[0]
         np.testing.assert_array_equal([value[car] for value in y[:-1]], one[:-1])
         np.testing.assert_array_equal([value[car] for value in y.plan], one.plan)
-
-
-def test_the_state_and_outputs_are_python_floats() -> None:
-    block = controller(NonlinearMPC)
-    u = inputs(block, e=0.1)
-    x = block.settle(0.0, block.init(), u)
-    y = block.output(0.0, x, u)
-    assert {type(value) for value in (*y[:-1], *y.plan, *block.update(0.0, x, u, y))} == {float}
+        assert {type(value) for value in (*one[:-1], *one.plan)} == {float}
 
 
 def test_time_is_taken_unless_there_is_no_clock() -> None:

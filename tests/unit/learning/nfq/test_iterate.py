@@ -29,7 +29,6 @@ from steerkit.learning.nfq.iterate import (
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.nfq.rprop import Fit, Net, fit, flat, forward
 from tests.support.modelled_car import driven
-from tests.support.ranges import keeps_range
 from tests.support.records import ACTIONS, chain, recorded
 
 PAPERS, BAND = FitSetting(), BandCost()
@@ -119,27 +118,6 @@ def test_equal_seeds_give_equal_nets_and_others_do_not() -> None:
     assert not np.array_equal(flat(one[0]), flat(other[0]))
 
 
-def test_a_first_update_learns_the_cost_and_later_ones_look_further() -> None:
-    record, cost = recorded(400), BandCost(trip=0.3, step=0.3)
-    asked, x = problem(cost, hints=0), patterns(STANDARD, record.s, record.a, 0.5)
-    first = iterate(record, asked)
-    y = targets(asked, record)
-    assert np.mean((forward(first[0], x) - y) ** 2) < 0.5 * np.var(y)
-    second = iterate(record, asked, first, seed=1)
-    assert forward(second[0], x).mean() > forward(first[0], x).mean() + 0.05
-    means = [forward(iterate(record, problem(cost, hints=0, iterations=n))[0], x).mean() for n in (1, 2, 3)]
-    assert means[0] + 0.05 < means[1] < means[2] - 0.02
-
-
-def test_hints_pull_the_goal_region_down() -> None:
-    record, before = recorded(200), (level(0.8),)
-    goal = goal_patterns(problem(hints=200), np.random.default_rng(9))
-    values = [
-        forward(iterate(record, problem(hidden=(), epochs=100, hints=h), before)[0], goal).mean() for h in (0, 400)
-    ]
-    assert values[1] < values[0] - 0.1
-
-
 def test_mirror_doubles_the_data_with_the_same_targets(fitted: list[tuple[np.ndarray, np.ndarray]]) -> None:
     record, before = recorded(200), fresh_nets(seed=3)
     for mirror in (False, True):
@@ -176,45 +154,11 @@ def test_updates_say_what_is_wrong() -> None:
         iterate(record, problem(), [level(0.5)])
     with pytest.raises(ValueError, match="actions is empty"):
         Problem(actions=(), cost=BandCost())
-    with pytest.raises(ValueError, match="mirror=True needs -a"):
-        Problem(actions=(0.0, 0.5), cost=BandCost(), fit=FitSetting(mirror=True))
-
-
-def test_a_fit_keeps_its_ranges() -> None:
-    keeps_range(FitSetting, "discount", "[0.0, 1.0)")
-    assert FitSetting(hidden=(1,)).hidden == (1,)
     for wrong in ({"hidden": (10, 0)}, {"dead_time": 0.1}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             FitSetting(**wrong)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("imagined", [0, 20])
-def test_a_window_fits_the_newest_transitions_and_the_model_learns_from_all(
-    imagined: int, fitted: list[tuple[np.ndarray, np.ndarray]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    modelled: list[int] = []
-
-    class Watched(CarModel):
-        @classmethod
-        def fit(cls, record: Transitions, description: StateDescription) -> CarModel:
-            modelled.append(len(record))
-            return CarModel.fit(record, description)
-
-    monkeypatch.setattr(nfq, "CarModel", Watched)
-    record = recorded(200)
-    iterate(record, problem(epochs=1, hints=0, window=60, imagined=imagined))
-    ((x, y),) = fitted
-    assert len(x) == 60 + imagined
-    np.testing.assert_array_equal(x[:60], patterns(STANDARD, record.s[-60:], record.a[-60:], 0.5))
-    expected, _ = BandCost()(record.s[-60:], record.a[-60:], record.s_next[-60:])
-    np.testing.assert_allclose(y[:60], expected, atol=1e-7)
-    assert modelled == ([200] if imagined else [])
-
-
-@pytest.mark.parametrize("window", [0, 200, 1000])
-def test_a_window_that_holds_everything_changes_nothing(window: int) -> None:
-    record = recorded(200)
-    assert nfq.newest(record, window) is record
+    with pytest.raises(ValueError, match="mirror=True needs -a"):
+        Problem(actions=(0.0, 0.5), cost=BandCost(), fit=FitSetting(mirror=True))
 
 
 def test_each_update_begins_afresh() -> None:
