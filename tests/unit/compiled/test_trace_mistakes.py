@@ -17,7 +17,7 @@ from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.export.c import export_c
-from tests.support.straight_road import PASSAT
+from tests.support.straight_road import ROAD, looped
 
 HEAD = """
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -98,15 +98,8 @@ def block_of(body: str, **parameters: Any) -> Block:
     return names["Mine"](**parameters)
 
 
-def loop_of(controller: Block) -> steerkit.Loop:
-    path = steerkit.course("circle")
-    car = steerkit.placed(steerkit.NonlinearSingleTrack(vehicle=PASSAT, v0=5.0), path)
-    driver = steerkit.ConstantSpeed(speed=5.0)
-    return steerkit.steering_loop(car=car, path=path, driver=driver, controller=controller)
-
-
 def ways(block: Block, folder: Path) -> dict[str, Any]:
-    loop = loop_of(block)
+    loop = looped(block, ROAD, 5.0, 0.0)
     return {"compile": lambda: steerkit.compile(loop, backend="python"), "export_c": lambda: export_c(block, folder)}
 
 
@@ -134,10 +127,10 @@ def test_an_array_as_a_gain_is_refused_with_the_way_to_a_number_a_car() -> None:
     with pytest.raises(
         TraceError, match=r"line 13 of mine\.py: computes with .* of shape \(2,\).*compile\(parameters="
     ):
-        steerkit.compile(loop_of(block), backend="python")
+        steerkit.compile(looped(block, ROAD, 5.0, 0.0), backend="python")
 
 
 def test_a_guard_around_the_block_hides_nothing() -> None:
     guard = ExceptionGuard(block=block_of("def output(self, t, x, u):\n    return self.Y(math.atan(u.e))"))
     with pytest.raises(TraceError, match=rf"controller\.output \(Mine\).*line 13 of mine\.py.*{PLAIN}"):
-        steerkit.compile(loop_of(guard), backend="python")
+        steerkit.compile(looped(guard, ROAD, 5.0, 0.0), backend="python")

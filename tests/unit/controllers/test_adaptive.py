@@ -85,20 +85,6 @@ def test_beliefs_move_by_half_a_second_a_second_and_a_tenth_towards_valid_estima
             assert believed == pytest.approx(after if valid else before)
 
 
-def test_the_ratio_is_estimated_behind_the_estimated_dead_time_not_the_believed_one() -> None:
-    states = []
-    for prior in (0.0, 0.1):
-        block = adaptive(prior_delay=prior, delay_rate=0.0)
-        x = block.settle(0.0, block.init(), block.U(**HERE))
-        for k in range(80):
-            u = block.U(**HERE | {"r": 0.1 * math.sin(0.2 * k)})
-            x = block.update(0.05 * k, x, u, block.Y(math.sin(0.2 * k + 1.0)))
-        assert x[-2] == prior
-        states.append(block._states(x)[-1])
-    assert states[0] == states[1]
-    assert block.steering.output(0.0, states[0], ()).ratio != 1.0  # it has learned
-
-
 def test_one_that_takes_turns_learns_from_the_commands_of_others_which_it_sees_a_sample_late() -> None:
     signals = answered(steered(20.0), delay=0.15, lag=0.1, v=7.0 + np.zeros(400))
     found = []

@@ -42,6 +42,12 @@ def made(seconds: float = 40.0, seed: int = 0, noise: float = 0.0, grip: float =
 
 
 @cache
+def found_without_noise() -> Tyres:
+    """What is identified where the tyres' shapes are known."""
+    return identify_tyres(made(), VW_PASSAT, fixed=SHAPES)
+
+
+@cache
 def found_under_noise() -> Tyres:
     """What is identified from 40 s with noise."""
     return identify_tyres(made(noise=0.05))
@@ -79,7 +85,7 @@ def test_a_step_beyond_the_longest_is_parted() -> None:
 
 
 def test_a_drive_without_noise_tells_all() -> None:
-    found = identify_tyres(made(), VW_PASSAT, fixed=SHAPES)
+    found = found_without_noise()
     for name in ("c_f", "c_r", "mu_f", "mu_r"):
         assert found[name].value == pytest.approx(TRUE[name], rel=0.02), name
         assert found[name].low < found[name].value < found[name].high
@@ -107,7 +113,7 @@ def test_ahead_left_and_right_are_alike() -> None:
 
 def test_they_are_judged_beside_the_others() -> None:
     """On a drive of their own model, without noise: far better than that nothing changes."""
-    tyres = identify_tyres(made(), VW_PASSAT, fixed=SHAPES)
+    tyres = found_without_noise()
     theta = dict.fromkeys(("offset", "delay", "lag", "rate_zero"), 0.0)
     theta |= {"steer_ratio": 15.6, "d_f": 0.006, "d_r": 0.005}
     found: Any = SimpleNamespace(vehicle=VW_PASSAT, base=VW_PASSAT, theta=theta)
@@ -121,13 +127,13 @@ def test_they_are_judged_beside_the_others() -> None:
 
 
 def test_intervals_hold_the_truth_under_noise() -> None:
-    """22 of 24 at least: 95 % of 24 independent ones would hold less with 3 %; they are wide for C and E not known."""
+    """14 of 16 at least: 95 % of 16 independent ones would hold less with 4 %; they are wide for C and E not known."""
     held = []
-    for seed in range(6):
+    for seed in range(4):
         found = identify_tyres(made(seed=seed, noise=0.1), VW_PASSAT)
         held += [found[name].low <= TRUE[name] <= found[name].high for name in ("c_f", "c_r", "mu_f", "mu_r")]
         assert found["c_f"].high / found["c_f"].low < 2.0
-    assert sum(held) >= 22
+    assert sum(held) >= 14
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8])

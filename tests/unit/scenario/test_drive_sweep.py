@@ -73,16 +73,9 @@ def test_a_drive_is_over_when_it_has_gone_the_distance() -> None:
     ("values", "metrics", "says"),
     [
         ({}, ["rms_e"], "no parameters"),
-        ({"controller.k": []}, ["rms_e"], r"expected finite numbers \(n,\)"),
         ({"controller.k": [1.0, np.nan]}, ["rms_e"], r"expected finite numbers \(n,\)"),
-        ({"controller.k": [1.0, -1.0]}, ["rms_e"], r"Stanley: k = -1.0 \[1/s\], expected >= 0"),
-        ({"controller.gain": [1.0]}, ["rms_e"], "Stanley has no field 'gain'"),
-        ({"controller.reference": [1.0, 2.0]}, ["rms_e"], "no equation of the loop reads it"),
-        ({"actuator.delay": [0.0, 0.1]}, ["rms_e"], "actuator.delay: the state of actuator has 2 or 12 numbers"),
-        ({"car.vehicle": [1.0]}, ["rms_e"], "a field that holds one number"),
         ({"controller.k": [1.0]}, [], "expected other names"),
         ({"controller.k": [1.0]}, [lambda log: 1.0, lambda log: 2.0], "expected other names"),
-        ({"controller.k": [1.0]}, ["rms"], "did you mean 'rms_e'"),
     ],
 )
 def test_what_cannot_be_swept_is_refused(values: Any, metrics: Any, says: str) -> None:

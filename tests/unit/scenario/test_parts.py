@@ -1,27 +1,23 @@
 """What a scenario is made of, when its steering is worn and its sensors are poor."""
 
 import contextlib
+import math
 from typing import Any
 
 import numpy as np
 import pytest
 
 from steerkit.diagram.units import radians_of
-from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.paths.courses import straight
-from steerkit.plants.sensors import Sensors
-from steerkit.plants.steering_actuator import SteeringColumn, SteeringLink, TorqueSteering
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive
 from steerkit.scenario.parts import Course, Driver, drawn_course
+from steerkit.vehicles import VW_PASSAT as PASSAT
+from steerkit.vehicles import G
 
 PLAIN = Scenario()
 COURSE = PLAIN.path()
 STANLEY = controller("stanley", PLAIN)
-
-
-def measured(scenario: Scenario) -> Any:
-    return scenario.sensors.sensors(scenario.nominal, 3)
 
 
 def test_what_is_not_there_is_left_out() -> None:
@@ -31,100 +27,90 @@ def test_what_is_not_there_is_left_out() -> None:
     assert not left_out & set(loop.names)
 
 
-def test_fields_become_blocks() -> None:
-    worn = Scenario(
-        steering={"play_deg": 2.0, "friction_deg": 1.0, "dead_band_deg": 0.5, "quantum_deg": 0.1, "delay_jitter": 0.03}
-    )
-    link, column = worn.steering.link(seed=7), worn.steering.column()
-    assert isinstance(link, SteeringLink)
-    assert isinstance(column, SteeringColumn)
-    assert (link.quantum, link.dead_band) == (radians_of(0.1), radians_of(0.5))
-    assert (link.jitter, link.seed) == (0.03, 7)
-    assert (column.play, column.friction) == (radians_of(2.0), radians_of(1.0))
-    assert worn.random
-    assert not worn.with_(steering={"delay_jitter": 0.0}, driver={"v_min": 5.0, "v_max": 5.0}).random
-    loop = assembled(worn, controller("stanley", worn))
-    assert loop.inputs_of("link")["delta_sw_cmd"] == "controller.delta_sw"
-    assert loop.inputs_of("actuator")["delta_sw_cmd"] == "link.delta_sw"
-    assert loop.inputs_of("column")["delta_sw_in"] == "actuator.delta_sw"
-    assert loop.inputs_of("car")["delta_sw_cmd"] == "column.delta_sw"
-    assert loop.inputs_of("controller")["delta_sw_meas"] == "column.delta_sw_meas"
+WORN = Scenario(
+    steering={"play_deg": 2.0, "friction_deg": 1.0, "dead_band_deg": 0.5, "quantum_deg": 0.1, "delay_jitter": 0.03}
+)
+OFF = Scenario.under("hard", steering={"wheel_zero_deg": 3.0}, sensors={"gyro_zero_deg": -0.2})
+REAL = Scenario.under("real")
+NO_SIDESLIP = Scenario.under(
+    "hard", sensors={"kind": "no sideslip", "estimator": "vehicle-state", "noise": 2.0}, steering={"delay": 0.1}
+)
+ESTIMATED = Scenario.under("real", sensors={"estimator": "vehicle-state"})
+ADAPTS = Scenario.under("real", sensors={"estimator": "adaptive-state", "noise": 2.0}, steering={"delay": 0.1})
+TORQUE = Scenario(
+    steering={
+        "command": "torque",
+        "gain": 0.8,
+        "slew": 4.0,
+        "a_y_limit": 2.5,
+        "delay": 0.35,
+        "lag": 0.0,
+        "offset_deg": 1,
+    }
+)
+PUSHED = Scenario(disturbances={"bank_deg": 2.0, "wind": 0.3, "gust": 0.1})
+RIGHT = {"age_jitter": 0.0, "lost": 0.0, "jump": 0.0, "heading_drift": 0.0, "rear": None}
+POOR = {"age_jitter": 0.02, "lost": 0.01, "jump": 0.02, "heading_drift": radians_of(0.2), "rear": PASSAT.l_r}
+ZERO = {"r_bias": radians_of(-0.2)}
 
 
-def test_real_sensors() -> None:
-    real, hard = Scenario.under("real"), Scenario.under("hard")
-    assert real.with_(sensors={"kind": "hard"}) == hard
-    ordinary, sensors = measured(hard), measured(real)
-    assert isinstance(ordinary, Sensors)
-    assert (ordinary.age_jitter, ordinary.lost, ordinary.jump, ordinary.heading_drift, ordinary.rear) == (
-        0,
-        0,
-        0,
-        0,
-        None,
-    )
-    assert isinstance(sensors, Sensors)
-    assert (sensors.seed, sensors.latency, sensors.rear) == (3, 0.05, real.nominal.l_r)
-    assert (sensors.age_jitter, sensors.lost, sensors.jump, sensors.heading_drift) == (
-        0.02,
-        0.01,
-        0.02,
-        radians_of(0.2),
-    )
-    twice = measured(real.with_(sensors={"noise": 2.0, "latency": 0.1}))
-    assert isinstance(twice, Sensors)
-    assert (twice.v_noise, twice.latency, twice.jump) == (0.1, 0.1, 0.04)
-    assert real.with_(sensors={"noise": 0.0}, driver={"v_min": 5.0, "v_max": 5.0}).random
+@pytest.mark.parametrize(
+    ("scenario", "name", "numbers"),
+    [
+        (WORN, "link", {"quantum": radians_of(0.1), "dead_band": radians_of(0.5), "jitter": 0.03, "seed": 3}),
+        (WORN, "column", {"play": radians_of(2.0), "friction": radians_of(1.0)}),
+        (OFF, "column", {"zero": radians_of(3.0), "play": 0.0}),
+        (OFF, "sensors", ZERO | RIGHT),
+        (OFF.with_(sensors={"kind": "no sideslip", "noise": 1.0, "latency": 0.0}), "sensors", ZERO),
+        (OFF.with_(sensors={"kind": "real", "noise": 1.0, "latency": 0.0}), "sensors", ZERO),
+        (Scenario(sensors={"bias": 0.1}), "sensors", {"x_bias": 0.1, "y_bias": 0.0, "r_bias": 0.0}),
+        (REAL, "sensors", POOR | {"seed": 3, "latency": 0.05}),
+        (REAL.with_(sensors={"noise": 2.0, "latency": 0.1}), "sensors", {"v_noise": 0.1, "latency": 0.1, "jump": 0.04}),
+        (NO_SIDESLIP, "sensors", {"rear": PASSAT.l_r, "seed": 3}),
+        (NO_SIDESLIP, "estimator", {"position_drift": 0.02, "psi_drift": radians_of(0.2), "heading_drift": 0.0}),
+        (NO_SIDESLIP, "estimator", {"horizon": 0.1, "steering": None}),
+        (ESTIMATED, "estimator", {"heading_drift": radians_of(0.2), "v_noise": 0.05}),
+        (TORQUE, "actuator", {"delay": 0.35, "lag": 0.0, "slew": 4.0, "a_y_limit": 2.5, "gain": 0.8}),
+        (TORQUE, "actuator", {"steer_ratio": PASSAT.steer_ratio, "offset": radians_of(1.0)}),
+        (PUSHED, "car", {"bank": G * math.sin(radians_of(2.0)), "wind": 0.3, "gust": 0.1, "seed": 3}),
+    ],
+)
+def test_fields_become_blocks(scenario: Scenario, name: str, numbers: dict[str, Any]) -> None:
+    block = scenario.blocks(COURSE, seed=3)[name]
+    assert {number: getattr(block, number) for number in numbers} == pytest.approx(numbers)
 
 
-def test_an_estimator_is_given_the_data_sheet_and_stands_between_sensors_and_controllers() -> None:
-    hard = Scenario.under(
-        "hard", sensors={"kind": "no sideslip", "estimator": "vehicle-state", "noise": 2.0}, steering={"delay": 0.1}
-    )
-    block, sensors = hard.blocks(COURSE)["estimator"], measured(hard)
-    assert isinstance(block, VehicleState)
-    assert isinstance(sensors, Sensors)
-    assert (block.position_drift, block.psi_drift, block.heading_drift) == (0.02, radians_of(0.2), 0.0)
-    assert (block.horizon, sensors.rear, sensors.seed) == (pytest.approx(0.1), hard.nominal.l_r, 3)
-    assert hard.design_model().delay == pytest.approx(0.1)
-    assert hard.with_(sensors={"estimator": "none"}).design_model().delay == pytest.approx(0.15)
-    assert hard.with_(sensors={"estimator": "none"}).blocks(COURSE)["estimator"] is None
-    real = Scenario.under("real", sensors={"estimator": "vehicle-state"}).blocks(COURSE)["estimator"]
-    assert isinstance(real, VehicleState)
-    assert (real.heading_drift, real.v_noise) == (radians_of(0.2), 0.05)
-    loop = assembled(hard, controller("mpc", hard), seed=3)
-    assert loop.inputs_of("estimator")["age_in"] == loop.inputs_of("estimator")["motion_age_in"] == "sensors.age"
-    assert loop.inputs_of("estimator")["delta_sw_meas"] == "actuator.delta_sw"
-    assert loop.inputs_of("controller")["beta"] == "estimator.beta"
-    assert loop.inputs_of("controller_path")["x"] == "estimator.x"
-    clean = Scenario().with_(sensors={"estimator": "vehicle-state"})
-    assert isinstance(measured(clean), Sensors)
+@pytest.mark.parametrize(
+    ("scenario", "name", "wires"),
+    [
+        (WORN, "stanley", {"link.delta_sw_cmd": "controller.delta_sw", "actuator.delta_sw_cmd": "link.delta_sw"}),
+        (WORN, "stanley", {"column.delta_sw_in": "actuator.delta_sw", "car.delta_sw_cmd": "column.delta_sw"}),
+        (OFF, "mpc", {"controller.delta_sw_meas": "column.delta_sw_meas"}),
+        (NO_SIDESLIP, "mpc", {"estimator.age_in": "sensors.age", "estimator.motion_age_in": "sensors.age"}),
+        (NO_SIDESLIP, "mpc", {"estimator.delta_sw_meas": "actuator.delta_sw", "controller_path.x": "estimator.x"}),
+        (NO_SIDESLIP, "mpc", {"controller.beta": "estimator.beta"}),
+        (TORQUE, "stanley-delay", {"actuator.delta_sw_cmd": "controller.delta_sw", "actuator.v": "car.v"}),
+    ],
+)
+def test_blocks_stand_where_they_belong(scenario: Scenario, name: str, wires: dict[str, str]) -> None:
+    loop = assembled(scenario, controller(name, scenario), seed=3)
+    for end, signal in wires.items():
+        block, _, port = end.partition(".")
+        assert loop.inputs_of(block)[port] == signal
+
+
+def test_an_estimator_takes_the_age_of_what_is_measured_off_the_delay() -> None:
+    assert NO_SIDESLIP.design_model().delay == ADAPTS.design_model().delay == pytest.approx(0.1)
+    assert NO_SIDESLIP.with_(sensors={"estimator": "none"}).design_model().delay == pytest.approx(0.15)
+    assert Scenario(sensors={"estimator": "vehicle-state"}).blocks(COURSE)["sensors"] is not None
 
 
 def test_one_that_adapts_has_the_same_numbers_and_a_filter_of_the_steering() -> None:
-    adapts = Scenario.under("real", sensors={"estimator": "adaptive-state", "noise": 2.0}, steering={"delay": 0.1})
-    plain: Any = adapts.with_(sensors={"estimator": "vehicle-state"}).blocks(COURSE)["estimator"]
-    block: Any = adapts.blocks(COURSE)["estimator"]
+    plain: Any = ADAPTS.with_(sensors={"estimator": "vehicle-state"}).blocks(COURSE)["estimator"]
+    block: Any = ADAPTS.blocks(COURSE)["estimator"]
     for name in ("horizon", "steer_ratio", "position_drift", "r_noise", "heading_drift"):
         assert getattr(block, name) == getattr(plain, name)
-    assert (block.steering.vehicle, plain.steering) == (adapts.nominal, None)
-    assert adapts.design_model().delay == pytest.approx(0.1)
-
-
-def test_sensors_report_their_zeros() -> None:
-    off = Scenario.under("hard", steering={"wheel_zero_deg": 3.0}, sensors={"gyro_zero_deg": -0.2})
-    column = off.steering.column()
-    assert isinstance(column, SteeringColumn)
-    assert (column.zero, column.play) == (radians_of(3.0), 0.0)
-    assert off.with_(steering={"wheel_zero_deg": 0.0}).steering.column() is None
-    for sensing, clean in (("hard", 0.0), ("no sideslip", 1.0), ("real", 1.0)):
-        sensors: Any = measured(off.with_(sensors={"kind": sensing, "noise": clean, "latency": 0.0}))
-        assert getattr(sensors, "block", sensors).r_bias == radians_of(-0.2)
-    biased: Any = measured(Scenario(sensors={"bias": 0.1}))
-    assert (biased.x_bias, biased.y_bias, biased.r_bias) == (0.1, 0.0, 0.0)
-    loop = assembled(off, controller("mpc", off), seed=3)
-    assert loop.inputs_of("controller")["delta_sw_meas"] == "column.delta_sw_meas"
-    assert loop.inputs_of("car")["delta_sw_cmd"] == "column.delta_sw"
+    assert block.steering.vehicle == PASSAT
 
 
 def test_controllers_believe_the_data_sheet_or_know_the_truth() -> None:
@@ -138,19 +124,10 @@ def test_controllers_believe_the_data_sheet_or_know_the_truth() -> None:
     assert (truth.delay, truth.lag, truth.slew, truth.a_y_limit) == (told.delay, told.lag, None, None)
 
 
-def test_steering_by_torque() -> None:
-    """The gain acts on what is asked for, so who is told of it knows that slew and limit come out of it too."""
-    lag = {"delay": 0.35, "lag": 0.0, "offset_deg": 1.0}
-    scenario = Scenario(steering={"command": "torque", "gain": 0.8, "slew": 4.0, "a_y_limit": 2.5, **lag})
-    motor = scenario.steering.actuator(scenario.nominal)
-    assert isinstance(motor, TorqueSteering)
-    assert (motor.delay, motor.lag, motor.slew, motor.a_y_limit, motor.gain) == (0.35, 0.0, 4.0, 2.5, 0.8)
-    assert (motor.steer_ratio, motor.offset) == (scenario.nominal.steer_ratio, radians_of(1.0))
-    told, truth = scenario.design_model(), scenario.with_(knowledge={"oracle": True}).design_model()
+def test_who_is_told_of_the_gain_of_torque_knows_that_slew_and_limit_come_out_of_it_too() -> None:
+    told, truth = TORQUE.design_model(), TORQUE.with_(knowledge={"oracle": True}).design_model()
     assert (told.slew, told.a_y_limit, told.gain) == (4.0, 2.5, 1.0)
     assert (truth.slew, truth.a_y_limit, truth.gain) == (pytest.approx(3.2), 2.0, 0.8)
-    loop = assembled(scenario, controller("stanley-delay", scenario))
-    assert loop.inputs_of("actuator") == {"delta_sw_cmd": "controller.delta_sw", "v": "car.v"}
 
 
 def test_sweeping_courses_have_bends_of_100_m_and_more() -> None:

@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 
 from steerkit.diagram.units import radians_of
 from steerkit.paths.courses import course
-from steerkit.plants.disturbed_plant import DisturbedPlant
 from steerkit.scenario import END_MARGIN, FORMAT, Scenario, read_scenario, tables, write_scenario
 from steerkit.scenario.parts import Course, Driver, Sensing
 from steerkit.vehicles import VW_PASSAT as PASSAT
-from steerkit.vehicles import G, vehicle, vehicle_text
+from steerkit.vehicles import vehicle, vehicle_text
 from tests.support.yard import yard
 
 MULTI_BODY = "benchmarks.peers.commonroad:CommonRoadMultiBody"
@@ -30,12 +29,9 @@ HEAD = f'format = "{FORMAT}"\n'
         ({"course": {"name": 7}}, "course: name = 7, expected text"),
         ({"course": {"closed": "yes"}}, "course: closed = 'yes', expected true or false, or nothing"),
         ({"knowledge": {"oracle": 1}}, "knowledge: oracle = 1, expected true or false"),
-        ({"course": "papr"}, r"scenario 'x': course 'papr' is not known \(did you mean 'paper'\?\).*FILE.csv"),
-        ({"course": "no.csv"}, "course: no.csv cannot be read"),
         ({"course": {"closed": True}}, "course: closed = True is only for a course from a file"),
         ({"course": {"start": 900.0}}, r"course: start = 900.0 \[m\].*the course's length"),
         ({"course": {"nam": "paper"}}, "course: no field 'nam'; valid: name, closed, start, rounds"),
-        ({"vehicle": {"plant": "bicycle"}}, "'bicycle' is not known; valid: nonlinear, linear, package.module:Class"),
         ({"vehicle": {"plant": "steerkit.plants.single_track:Cat"}}, "steerkit.plants.single_track has no 'Cat'"),
         ({"vehicle": {"plant": "steerkit.doe:Integrator"}}, "expected a subclass of Car"),
         ({"vehicle": {"tyres": 10.0, "name": "bmw-320i"}}, "c_f"),
@@ -45,7 +41,6 @@ HEAD = f'format = "{FORMAT}"\n'
             {"vehicle": {"plant": MULTI_BODY, "name": "bmw-320i"}, "disturbances": {"wind": 1.0}},
             "disturbances: only single-track cars are pushed",
         ),
-        ({"driver": {"speed": "fast"}}, "driver: speed 'fast'; valid: wander, recorded"),
         ({"driver": {"speed": "recorded"}}, "'paper' is not known.*genesis"),
         ({"driver": {"v_min": 9.0}}, "driver: v_min = 9.0, v_max = 7.5"),
         ({"driver": "recorded"}, "driver: 'recorded', expected a table of speed, v_min, v_max"),
@@ -105,6 +100,8 @@ def test_what_depends_on_the_seed_is_random() -> None:
     assert Scenario().random
     assert steady.with_(sensors={"noise": 0.5}).random
     assert steady.with_(disturbances={"gust": 0.1}).random
+    assert steady.with_(steering={"delay_jitter": 0.03}).random
+    assert steady.with_(sensors={"kind": "real"}).random
     assert not Scenario(course="genesis", driver={"speed": "recorded"}).random
 
 
@@ -114,15 +111,6 @@ def test_all_noises_grow_together() -> None:
     assert two is not None
     for name in ("position_drift", "psi_drift", "r_noise"):
         assert getattr(two, name) == 2.5 * getattr(one, name) > 0.0
-
-
-def test_bank_and_wind_push_the_car() -> None:
-    banked = Scenario(disturbances={"bank_deg": 2.0, "wind": 0.3, "gust": 0.1})
-    car = banked.car(banked.path(), seed=4)
-    assert isinstance(car, DisturbedPlant)
-    assert car.bank == pytest.approx(G * math.sin(radians_of(2.0)))
-    assert (car.wind, car.gust, car.seed) == (0.3, 0.1, 4)
-    assert not isinstance(Scenario().car(course("paper")), DisturbedPlant)
 
 
 def test_hard_conditions_are_noise_latency_and_lag() -> None:
@@ -232,7 +220,7 @@ def test_a_scenario_comes_back_with_its_files(tmp_path: FilePath, monkeypatch: p
     assert read_scenario(tmp_path / "scenario.toml") == scenario
 
 
-@settings(max_examples=50)
+@settings(max_examples=15)
 @given(lag=st.floats(0.0, 10.0), offset_deg=st.floats(-90.0, 90.0), believed=st.none() | st.floats(0.0, 2.0))
 def test_every_number_comes_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, lag: float, offset_deg: float, believed: Any
@@ -257,7 +245,6 @@ def test_files_are_looked_for_beside_the_scenarios_own(given: str, tmp_path: Fil
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[steering]\nlag = 0.1\n", f"s.toml: format = None, expected '{FORMAT}'"),
         (HEAD + "lag = 0.1\n", "s.toml: a scenario has no field 'lag'; it is a field of steering and knowledge"),
         (HEAD + "[steering]\nlagg = 0.1\n", "s.toml: scenario: steering: no field 'lagg'; valid: command"),
         (HEAD + "[steering]\nlag = -0.1\n", r"s.toml: scenario: steering: lag = -0.1 \[s\], expected 0 to"),

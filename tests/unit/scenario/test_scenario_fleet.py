@@ -7,7 +7,7 @@ from steerkit.paths.courses import random_course
 from steerkit.scenario import LAG, OFFSET_DEG, PLAY_DEG, Scenario, fleet_scenario, straightest
 from steerkit.vehicles import drawn_car, fleet
 
-MANY = 400
+MANY = 250
 
 
 def test_a_drawn_scenario_has_the_cars_own_delay_and_an_unseen_course() -> None:
