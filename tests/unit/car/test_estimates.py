@@ -206,14 +206,6 @@ def test_a_screen_has_few_rows() -> None:
     assert len(watched.report()) == len(ESTIMATES) + 2
 
 
-def test_once_a_second_what_was_found_is_noted() -> None:
-    noted: list[protocol.Estimates] = []
-    watched = Watched(CONFIG, noted.append)
-    for k in range(2 * estimates.EVERY + 1):
-        watched.sample(Snapshot(t=0.05 * k))
-    assert noted == [estimates.message_of(watched.found)] * 2
-
-
 # ---- since the last drive ----------------------------------------------------------------------------------------
 
 

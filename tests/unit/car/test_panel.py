@@ -210,25 +210,25 @@ def test_the_picture_names_the_panel_that_engaged_and_the_way_on(monkeypatch: py
         assert named in text
 
 
-def test_the_line_of_what_a_controller_that_adapts_is_told() -> None:
-    assert adapted_line(Adapted(0.2144, 1.0831)) == "dead time 0.214 s, steering ratio 1.083 times the data sheet's"
+LATE = Filtered(0.3, 0.0, 1.0, 0.2, 7.0, math.nan, math.nan)
+DOUBTS = "commands arrive 0.15 s later than believed, ratio and tyres doubted 2.0 times as much"
 
 
-def test_what_a_lie_can_do_is_told_in_metres_and_seconds() -> None:
-    told = [witness_line(astray) for astray in (1.26, 9.99, math.inf, math.nan)]
-    assert told[0] == "a pose that lies unnoticed leads the car 0.5 m off: in 1.3 s"
-    assert [text.split(": ")[1] for text in told[1:]] == ["in 10.0 s", "not in 10 s", "not known yet"]
-
-
-def test_the_filters_line_says_what_it_did() -> None:
-    corrected = Filtered(0.3, 0.2, 0.25, 0.61, 2.0, 0.0, 1.4)
-    assert filter_line(corrected) == "corrected, 25 % backup, reach 0.61 m"
-    assert filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.0, 1.0)) == "passed, reach 0.20 m"
-    late = Filtered(0.3, 0.0, 1.0, 0.2, 7.0, math.nan, math.nan)
-    assert filter_line(late) == "recovery: the filter was late, reach 0.20 m"
-    beyond = filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.15, 2.04))
-    told = "commands arrive 0.15 s later than believed, ratio and tyres doubted 2.0 times as much"
-    assert beyond == f"passed, reach 0.20 m; {told}"
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        (adapted_line(Adapted(0.2144, 1.0831)), "dead time 0.214 s, steering ratio 1.083 times the data sheet's"),
+        (witness_line(1.26), "a pose that lies unnoticed leads the car 0.5 m off: in 1.3 s"),
+        (witness_line(math.inf).partition(": ")[2], "not in 10 s"),
+        (witness_line(math.nan).partition(": ")[2], "not known yet"),
+        (filter_line(Filtered(0.3, 0.2, 0.25, 0.61, 2.0, 0.0, 1.4)), "corrected, 25 % backup, reach 0.61 m"),
+        (filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.0, 1.0)), "passed, reach 0.20 m"),
+        (filter_line(LATE), "recovery: the filter was late, reach 0.20 m"),
+        (filter_line(Filtered(0.3, 0.3, 0.0, 0.2, 0.0, 0.15, 2.04)), f"passed, reach 0.20 m; {DOUBTS}"),
+    ],
+)
+def test_what_lines_of_the_panel_say(line: str, says: str) -> None:
+    assert line == says
 
 
 def test_snapshots_are_shown_under_the_names_of_the_layouts() -> None:

@@ -30,28 +30,20 @@ def test_no_process_of_the_car_imports_a_learner() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "says"),
+    ("command", "told", "says"),
     [
-        ({"config": KIT, "time_scale": 2.0}, "--time-scale 2 on slcan:/dev/ttyACM0: a real car has real time; use"),
-        (
-            {"config": "mine.toml"},
-            "mine.toml: no such file, beside the configuration or shipped; shipped: dbw-kit.toml, dbw_steering",
-        ),
-        ({"config": KIT, "channel": "nowhere:x"}, "[bus] interface 'nowhere' is not known; valid: slcan, socketcan, "),
+        ("server", {"time_scale": 2.0}, "--time-scale 2 on slcan:/dev/ttyACM0: a real car has real time; use"),
+        ("simulate", {"channel": "socketcan:can0", "time_scale": 2.0}, "on socketcan:can0: a real car has real time"),
+        ("server", {"config": "mine.toml"}, "mine.toml: no such file, beside the configuration or shipped; shipped: "),
+        ("server", {"channel": "nowhere:x"}, "[bus] interface 'nowhere' is not known; valid: slcan, socketcan, "),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(
-    told: dict[str, Any], says: str, capsys: pytest.CaptureFixture[str]
+    command: str, told: dict[str, Any], says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert processes.main(["server", json.dumps(told)]) == 2
+    assert processes.main([command, json.dumps({"config": KIT} | told)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line
-
-
-def test_a_simulated_car_on_a_real_bus_has_real_time(capsys: pytest.CaptureFixture[str]) -> None:
-    told = {"config": KIT, "channel": "socketcan:can0", "time_scale": 2.0}
-    assert processes.main(["simulate", json.dumps(told)]) == 2
-    assert "--time-scale 2 on socketcan:can0: a real car has real time" in capsys.readouterr().err
 
 
 def test_the_command_line_tells_the_same_in_si(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,5 @@
 """What runs tell: closed forms of the linear single track, signals with a known answer, intervals, limits, reasons."""
 
-import json
 import math
 import re
 from dataclasses import replace
@@ -12,7 +11,7 @@ import pytest
 
 from steerkit import Scenario
 from steerkit.metrics.table import r79_acceleration
-from steerkit.proving.evaluate import Evaluation, crossing, evaluate, of_repeats, peak, plateaus
+from steerkit.proving.evaluate import Evaluation, evaluate, of_repeats, plateaus
 from steerkit.proving.manoeuvre import Limit, Manoeuvre, manoeuvre, names
 from steerkit.proving.runs import Run, simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
@@ -182,17 +181,6 @@ def test_displacement_is_that_of_the_integrated_acceleration_or_of_the_position(
     assert evaluate(one, [placed], PASSAT)["lateral_displacement"].value == pytest.approx(0.7 * 1.07, rel=1e-3)
 
 
-def test_a_request_is_timed_to_the_sample() -> None:
-    one = manoeuvre("openpilot-step-20")
-    run = synthetic(one, lambda wheel, t: 0.05 * np.clip(2.0 * (t - 0.2), 0.0, 1.2))
-    run = replace(run, signals={**run.signals, "delta_sw_cmd": run["delta_sw"]})
-    found = evaluate(one, [run], PASSAT)
-    assert found["delay_50"].value == pytest.approx(0.45, abs=0.011)
-    assert found["crossing"].value == pytest.approx(0.70, abs=0.011)
-    slow = replace(run, signals={**run.signals, "a_y": 0.9 * run["a_y"] / run["a_y"].max() * 0.5})
-    assert math.isnan(evaluate(one, [slow], PASSAT)["crossing"].value)
-
-
 def report_of_openpilot(t: Any, requested: Any, actual: Any) -> tuple[float, float]:
     """Delay at 50 % and crossing time, as openpilot's report has them: sample by sample, from the run's beginning.
 
@@ -299,21 +287,6 @@ def test_repeats_have_student_s_interval_and_one_has_none() -> None:
     assert one.value == 1.0
     assert math.isnan(one.low)
     assert one.note == "in 1 of 2 runs"
-
-
-def test_crossings_and_peaks_lie_between_samples() -> None:
-    t = np.arange(0.0, 1.0, 0.1)
-    assert crossing(t, t, 0.25) == pytest.approx(0.25)
-    assert math.isnan(crossing(t, t, 2.0))
-    fine = np.arange(0.0, 3.0, 0.05)
-    assert peak(fine, np.sin(fine)) == pytest.approx((math.pi / 2.0, 1.0), abs=2e-4)
-
-
-def test_facts_are_json() -> None:
-    facts = evaluated("lane-change-2").facts()
-    assert json.loads(json.dumps(facts))["manoeuvre"] == "lane-change-2"
-    assert facts["passed"] is True
-    assert facts["limits"][0]["source"]
 
 
 @pytest.mark.parametrize(("drift", "counts"), [(0.0, True), (0.012, True), (0.04, False)])

@@ -9,7 +9,7 @@ from steerkit import Scenario
 from steerkit.compiled import TraceError
 from steerkit.proving import runs
 from steerkit.proving.evaluate import evaluate
-from steerkit.proving.manoeuvre import manoeuvre, names
+from steerkit.proving.manoeuvre import manoeuvre
 from steerkit.proving.runs import differing, of_fleet, on_course, simulated
 from steerkit.vehicles import VW_PASSAT as PASSAT
 from steerkit.vehicles import fleet
@@ -89,4 +89,3 @@ def test_loops_that_differ_in_a_table_are_no_batch() -> None:
     ]
     with pytest.raises(ValueError, match="differs from car to car and is no number"):
         differing(loops)
-    assert len(names()) == 16

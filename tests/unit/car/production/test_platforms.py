@@ -9,7 +9,8 @@ import pytest
 pytest.importorskip("opendbc")
 
 from benchmarks.run.production import config_of
-from steerkit.car.config import ConfigError
+from steerkit._support.files import toml_of
+from steerkit.car.config import ConfigError, Reading, shipped
 from steerkit.car.production import platforms
 
 
@@ -34,49 +35,24 @@ def test_without_opendbc_a_port_says_what_to_install(monkeypatch: pytest.MonkeyP
         platforms.listed.cache_clear()
 
 
-def test_what_the_port_gives_may_not_be_given_by_the_file_too() -> None:
-    from steerkit._support.files import toml_of
-    from steerkit.car.config import Reading, shipped
-
-    text = shipped("production-car.toml").read_text(encoding="utf-8")
-    data = toml_of(text, "car")
-    data["read"]["delta_sw"] = {"frame": "POSE_MOTION", "signal": "PSI"}
-    with pytest.raises(ConfigError, match=r"\[read\] delta_sw: the port of TESLA_MODEL_3 gives it"):
-        Reading("car", data, {}, shipped("production-car.toml").parent).config(None)
-
-
-def test_dbc_files_of_a_production_car_that_are_no_list_are_a_mistake_of_the_file() -> None:
-    from steerkit._support.files import toml_of
-    from steerkit.car.config import Reading, shipped
-
-    data = toml_of(shipped("production-car.toml").read_text(encoding="utf-8"), "car")
-    data["files"]["dbc"] = 3
-    with pytest.raises(ConfigError, match=r"\[files\] dbc = 3, expected"):
-        Reading("car", data, {}, shipped("production-car.toml").parent).config(None)
-
-
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("table", "key", "value", "said"),
     [
-        (
-            "line",
-            "python-can",
-            r"\[port\] line 'python-can' is not known.*; valid: panda, socket",
-        ),  # no safety code there
-        ("line", 3, r"\[port\] line '3' is not known"),
-        ("channel", 7, r"\[port\] channel = 7, expected"),
-        ("interface", "socketcan", r"\[port\] key 'interface' is not known"),
+        ("read", "delta_sw", {"frame": "POSE_MOTION", "signal": "PSI"}, "delta_sw: the port of TESLA_MODEL_3 gives it"),
+        ("files", "dbc", 3, "dbc = 3, expected"),
+        ("port", "line", "python-can", r"line 'python-can' is not known.*; valid: panda, socket"),
+        ("port", "line", 3, "line '3' is not known"),
+        ("port", "channel", 7, "channel = 7, expected"),
+        ("port", "interface", "socketcan", "key 'interface' is not known"),
     ],
 )
-def test_a_line_that_is_none_is_a_mistake_of_the_file(key: str, value: Any, said: str) -> None:
-    """None leads to a bus past a safety code, either."""
-    from steerkit._support.files import toml_of
-    from steerkit.car.config import Reading, shipped
-
-    data = toml_of(shipped("production-car.toml").read_text(encoding="utf-8"), "car")
-    data["port"][key] = value
-    with pytest.raises(ConfigError, match=said):
-        Reading("car", data, {}, shipped("production-car.toml").parent).config(None)
+def test_a_mistake_in_the_file_of_a_production_car_is_named(table: str, key: str, value: Any, said: str) -> None:
+    """No line leads to a bus past a safety code, either."""
+    file = shipped("production-car.toml")
+    data = toml_of(file.read_text(encoding="utf-8"), "car")
+    data[table][key] = value
+    with pytest.raises(ConfigError, match=rf"\[{table}\] {said}"):
+        Reading("car", data, {}, file.parent).config(None)
 
 
 def test_the_gate_of_a_port_is_no_wider_than_the_file_says() -> None:
