@@ -1,10 +1,16 @@
-"""Small records of transitions."""
+"""Small records of transitions, and a net."""
 
 import numpy as np
 
 from steerkit.learning.data.transitions import Transitions
+from steerkit.learning.nfq.rprop import Net
 
 ACTIONS = (-0.5, 0.0, 0.5)
+
+
+def level(q: float) -> Net:
+    """A net whose value is q everywhere."""
+    return np.zeros((1, 7), np.float32), np.array([np.log(q / (1.0 - q))], np.float32)
 
 
 def states(e: list[float]) -> np.ndarray:

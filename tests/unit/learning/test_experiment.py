@@ -100,15 +100,6 @@ def test_each_sample_is_told_as_it_is_recorded() -> None:
     assert len(told) == 60
 
 
-def test_minutes_are_minutes() -> None:
-    run = LearningRun(replace(SHORT, minutes=0.5))
-    run.counts.k = round(30.0 / run.loop.dt) - 1
-    assert not run.done()
-    run.counts.k += 1
-    assert run.t == pytest.approx(30.0)
-    assert run.done()
-
-
 def safely(seconds: float, **changes: Any) -> LearningRun:
     setting = replace(SHORT.setting, safe=True, **changes)
     return learn(Experiment(setting=setting, scenario=Scenario.under("hard"), minutes=seconds / 60.0, seed=0))
@@ -137,11 +128,6 @@ def test_a_filter_that_finds_its_doubts_too_small_says_so_once() -> None:
     assert [words[:31] for what, words in told if what == "doubted"] == ["commands arrive 0.20 s later th"]
     late = run.recorder.log()["safety.late"]
     assert late[0] == 0.0 < late[-1]
-
-
-def test_patience_is_how_long_a_policy_may_be_corrected() -> None:
-    ends = [safely(4.0, corrected_seconds=patience).counts.episodes[0].ended for patience in (0.5, 1.0)]
-    assert ends[1] == pytest.approx(ends[0] + 0.5, abs=0.06)
 
 
 def test_what_a_corrected_sample_teaches_is_what_was_done() -> None:

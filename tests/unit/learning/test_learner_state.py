@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.controllers.policy import COLUMNS
-from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.learner_state import LearnerState, untrained
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import DEFAULT
@@ -146,28 +145,6 @@ def test_the_further_off_it_may_take_over_the_faster_the_car_may_be() -> None:
         fed.trainer.done()
         fed.learner_state.take_over(0.0, e=e, e_dot=e_dot, within=0.3)
         assert fed.learner_state.trusted is taken
-
-
-def test_it_goes_on_with_what_was_recorded_before() -> None:
-    before = Transitions()
-    before.append((0.0,) * 6, 0.0, (0.0,) * 6, 0)
-    fed = Fed(transitions=before, net=7)
-    fed.drive(2)
-    fed.learner_state.train(0.0, trusted=True)
-    assert len(fed.trainer.jobs[0].transitions) == 2  # type: ignore[arg-type]
-    assert fed.trainer.jobs[0].number == 8
-    assert fed.learner_state.counts.episodes[0].net == 7
-
-
-def test_a_job_is_the_setting_s_and_its_seed_its_own() -> None:
-    fed = Fed()
-    fed.drive(2)
-    for _ in range(2):
-        fed.learner_state.train(0.0, trusted=True)
-    job, after = fed.trainer.jobs
-    assert job.problem == HOW.problem
-    assert job.transitions is fed.learner_state.transitions
-    assert [(j.number, j.seed) for j in (job, after)] == [(1, 200_007), (2, 200_008)]
 
 
 def test_while_it_drives_it_is_trained_every_so_many_metres_and_one_training_at_a_time() -> None:
@@ -344,9 +321,3 @@ def test_a_transition_is_a_step_of_the_learner(samples: list[tuple[int, bool, fl
     record = learner_state.transitions
     assert list(zip(record.s[:, 0], record.a)) == expected
     assert (record.s_next[:, 0] == record.s[:, 0] + 1.0).all()
-
-
-def test_the_untrained_policy_is_the_seed_s() -> None:
-    one, same, other = (untrained(HOW, seed).nets[0][0] for seed in (1, 1, 2))  # type: ignore[index]
-    np.testing.assert_array_equal(one, same)
-    assert not np.array_equal(one, other)

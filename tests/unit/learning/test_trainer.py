@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from steerkit.learning.costs import BandCost, Costs, TanhCost
@@ -22,28 +21,20 @@ from steerkit.learning.nfq.iterate import FitSetting, Learned, Problem
 from steerkit.learning.trainer import Job, Nets, SimulatedTrainer, Trainer
 from tests.support import programs
 from tests.support.programs import alive
+from tests.support.records import ACTIONS, recorded
 
-ACTIONS = (-0.1, 0.0, 0.1)
 PROBLEM = Problem(actions=ACTIONS, cost=TanhCost(), fit=FitSetting(epochs=10, nets=2))
 SECONDS_TO_WAIT = 120.0
 """Only reached when something is broken."""
 
 
-def record(n: int = 200, seed: int = 0) -> Transitions:
-    rng = np.random.default_rng(seed)
-    rows = Transitions()
-    s = rng.normal(size=(n + 1, 6)) * [0.3, 0.3, 1.0, 0.1, 0.1, 1.0] + [0, 0, 5, 0, 0, 0]
-    rows.extend(s[:-1], rng.choice(ACTIONS, n), s[1:], np.arange(n) // 20)
-    return rows
-
-
 def job(number: int, **changes: Any) -> Job:
-    transitions, cost = changes.get("transitions", record()), changes.get("cost", TanhCost())
+    transitions, cost = changes.get("transitions", recorded()), changes.get("cost", TanhCost())
     return Job(number=number, seed=number, transitions=transitions, problem=replace(PROBLEM, cost=cost))
 
 
 def expected(number: int, nets: Nets = (), rows: Transitions | None = None) -> Nets:
-    return nfq.iterate(rows or record(), PROBLEM, nets, seed=number)
+    return nfq.iterate(rows or recorded(), PROBLEM, nets, seed=number)
 
 
 def same(nets: Nets | None, others: Nets) -> bool:
@@ -114,9 +105,9 @@ def trainer(request: pytest.FixtureRequest) -> Iterator[Any]:
 def test_every_trainer_makes_the_nets_of_iterate_one_after_the_other(trainer: Any) -> None:
     assert trainer.poll(0.0) is None
     assert not trainer.busy
-    rows = record()
+    rows = recorded()
     trainer.submit(job(1, transitions=rows), 0.0)
-    rows.extend(*[getattr(record(seed=1), name) for name in ("s", "a", "s_next", "episode")])  # drives on
+    rows.extend(*[getattr(recorded(seed=1), name) for name in ("s", "a", "s_next", "episode")])  # drives on
     assert trainer.busy
     result = until(lambda: trainer.poll(3.0))
     first = expected(1)
@@ -194,7 +185,7 @@ def test_neither_submit_nor_poll_waits_and_the_process_steps_back(own: Trainer, 
     assert own.pid is not None
     behind = min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)  # 19 is the end of the scale
     assert os.getpriority(os.PRIO_PROCESS, own.pid) == behind
-    big = record(50_000)  # more than a pipe holds
+    big = recorded(50_000)  # more than a pipe holds
     for number in range(2, 20):  # would never return if any of it waited: the gate is closed
         own.submit(job(number, transitions=big, cost=gate))
         assert own.poll() is None
@@ -217,7 +208,7 @@ def test_kill_9_while_training_is_told_and_made_good(own: Trainer, tmp_path: Pat
     result = until(own.poll)
     assert result.fault == own.faults[0]
     assert result.fault == f"training process {old} died over net 2"
-    assert same(result.nets, nfq.iterate(record(), replace(PROBLEM, cost=BandCost()), first.nets, seed=2))
+    assert same(result.nets, nfq.iterate(recorded(), replace(PROBLEM, cost=BandCost()), first.nets, seed=2))
     own.submit(job(3))
     assert same(until(own.poll).nets, expected(3, result.nets))
 

@@ -103,16 +103,6 @@ def test_every_commit_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.Mon
     assert set(seen) == {(FULL, "wal")}
 
 
-def test_a_transaction_has_the_write_lock_from_its_first_moment(tmp_path: Path) -> None:
-    path = kept(tmp_path / "t.db", drive(1))
-    one, other = connect(path), connect(path, timeout=0.0)
-    with transaction(one), pytest.raises(sqlite3.OperationalError, match="locked"):
-        other.execute("BEGIN IMMEDIATE")
-    other.execute("BEGIN IMMEDIATE")  # and gives it back
-    one.close()
-    other.close()
-
-
 def test_a_transaction_that_fails_leaves_nothing(tmp_path: Path) -> None:
     path = kept(tmp_path / "t.db", drive(3))
     db = connect(path)

@@ -8,20 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.learning.data.transitions import Transitions
-
-
-def filled(n: int, seed: int = 0) -> Transitions:
-    rng = np.random.default_rng(seed)
-    record = Transitions()
-    s, a, s_next = rng.normal(size=(n, 6)), rng.normal(size=n), rng.normal(size=(n, 6))
-    record.extend(s, a, s_next, np.arange(n) // 10, np.arange(n) % 3 > 0)
-    return record
+from tests.support.stores import ARRAYS, drive
 
 
 @given(st.lists(st.integers(0, 400), max_size=6))
 def test_rows_come_back_in_order_however_they_were_added(counts: list[int]) -> None:
     n = sum(counts)
-    whole = filled(n)
+    whole = drive(n)
     parts = Transitions()
     at = 0
     for count in counts:
@@ -29,12 +22,12 @@ def test_rows_come_back_in_order_however_they_were_added(counts: list[int]) -> N
         parts.extend(whole.s[rows], whole.a[rows], whole.s_next[rows], whole.episode[rows], whole.own[rows])
         at += count
     assert len(parts) == n
-    for name in ("s", "a", "s_next", "episode", "own"):
+    for name in ARRAYS:
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 
 def test_append_is_extend_by_one() -> None:
-    whole, one_by_one = filled(600), Transitions()
+    whole, one_by_one = drive(600), Transitions()
     for row in range(600):
         one_by_one.append(whole.s[row], whole.a[row], tuple(whole.s_next[row]), whole.episode[row])
     np.testing.assert_array_equal(one_by_one.s_next, whole.s_next)
@@ -42,7 +35,7 @@ def test_append_is_extend_by_one() -> None:
 
 
 def test_views_are_contiguous_read_only_and_stay_valid() -> None:
-    record = filled(10)
+    record = drive(10)
     view, before = record.s, record.s.copy()
     assert view.flags.c_contiguous
     with pytest.raises(ValueError, match="read-only"):
@@ -54,7 +47,7 @@ def test_views_are_contiguous_read_only_and_stay_valid() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_non_finite_rows_are_refused_by_name_and_leave_nothing(value: float) -> None:
-    record = filled(3)
+    record = drive(3)
     s = np.zeros(6)
     bad = s.copy()
     bad[3] = value
@@ -73,10 +66,10 @@ def test_wrong_shapes_are_refused_with_the_columns() -> None:
 
 
 def test_saved_and_loaded_bit_for_bit(tmp_path: Path) -> None:
-    record, file = filled(300), tmp_path / "t.npz"
+    record, file = drive(300), tmp_path / "t.npz"
     record.save(file)
     again = Transitions.load(file)
-    for name in ("s", "a", "s_next", "episode"):
+    for name in ARRAYS:
         assert getattr(again, name).tobytes() == getattr(record, name).tobytes()
     assert again.names == record.names
     again.save(tmp_path / "u.npz")
@@ -85,7 +78,7 @@ def test_saved_and_loaded_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_a_data_frame_has_a_row_a_transition() -> None:
-    record = filled(30)
+    record = drive(30)
     frame = record.to_pandas()
     after = [f"next_{name}" for name in record.names]
     assert [*frame.columns] == [*record.names, "a", *after, "episode", "own"]
@@ -109,7 +102,7 @@ def test_foreign_files_are_named(tmp_path: Path) -> None:
 
 
 def test_a_wrong_number_of_episodes_leaves_nothing() -> None:
-    record = filled(3)
+    record = drive(3)
     with pytest.raises(ValueError, match="broadcast"):
         record.extend(np.ones((2, 6)), np.ones(2), np.ones((2, 6)), [1, 2, 3])
-    assert [len(getattr(record, name)) for name in ("s", "a", "s_next", "episode", "own")] == [3] * 5
+    assert [len(getattr(record, name)) for name in ARRAYS] == [3] * 5

@@ -1,6 +1,5 @@
 """Costs, targets and updates of NFQ: by hand first, then invariants."""
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -29,14 +28,9 @@ from steerkit.learning.nfq.iterate import (
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.nfq.rprop import Fit, Net, fit, flat, forward
 from tests.support.modelled_car import driven
-from tests.support.records import ACTIONS, chain, recorded
+from tests.support.records import ACTIONS, chain, level, recorded
 
 PAPERS, BAND = FitSetting(), BandCost()
-
-
-def level(q: float) -> Net:
-    """A net whose value is q everywhere."""
-    return np.zeros((1, 7), np.float32), np.array([math.log(q / (1.0 - q))], np.float32)
 
 
 def problem(cost: Cost = BAND, **fit: Any) -> Problem:

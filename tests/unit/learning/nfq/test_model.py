@@ -8,24 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.controllers.nfq_policy import Net
 from steerkit.doe import Integrator, LowPass, PlainAngle
 from steerkit.learning.costs import TanhCost
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.nfq.iterate import STANDARD, FitSetting, Problem, imagined_targets
 from steerkit.learning.nfq.model import CarModel, believed_loss, earlier_doe, explained, follow, imagine
-from steerkit.learning.settings import DEFAULT
 from tests.support.modelled_car import ACTIONS, CAR, driven
+from tests.support.records import level
 
 signed = st.floats(-0.4, 0.4)
 
 RATIO = float(CAR.ratio(np.array(6.0)))
-
-
-def level(q: float) -> Net:
-    return np.zeros((1, 7), np.float32), np.array([np.log(q / (1.0 - q))], np.float32)
 
 
 def test_the_numbers_behind_the_transitions_are_found() -> None:
@@ -83,16 +77,6 @@ def test_a_wheel_held_turns_the_car_by_the_ratio(changes: dict[str, float], v: f
     )
 
 
-def test_the_real_model_is_learned_from_the_first_seconds_of_driving() -> None:
-    setting = replace(DEFAULT, fit=FitSetting(epochs=5, nets=1))
-    run = LearningRun(Experiment(setting=setting, minutes=0.4))
-    while not run.done():
-        run.drive()
-    car, model = run.experiment.scenario.nominal, CarModel.fit(run.transitions, run.experiment.setting.description())
-    assert 1.0 / float(model.ratio(np.array(6.0))) == pytest.approx(car.steer_ratio, rel=0.25)
-    assert 1.0 / model.yaw == pytest.approx(car.l_f + car.l_r, rel=0.25)
-
-
 def test_the_model_says_what_it_cannot_learn_from() -> None:
     with pytest.raises(ValueError, match="no transitions"):
         CarModel.fit(Transitions(), STANDARD)
@@ -100,39 +84,10 @@ def test_the_model_says_what_it_cannot_learn_from() -> None:
         CarModel.fit(Transitions(("e", "v")), STANDARD)
 
 
-def test_imagined_states_cover_all_bends_and_carry_what_the_model_missed() -> None:
-    record = driven()
-    shifted = Transitions()
-    shifted.extend(record.s, record.a, record.s_next + np.array([0.01, 0, 0, 0, 0, 0]), record.episode)
-    near = imagine(explained(CAR, shifted), STANDARD, 4000, np.random.default_rng(0))
-    assert near.s[:, 5].min() < -8.5
-    assert near.s[:, 5].max() > 8.5
-    np.testing.assert_allclose(np.abs(near.residual[:, 0]), 0.01, atol=1e-12)
-    np.testing.assert_allclose(near.residual[:, 1:], 0.0, atol=1e-12)
-    assert record.s[:, 2].min() <= near.s[:, 2].min()
-    assert near.s[:, 2].max() <= record.s[:, 2].max()
-    assert abs(near.residual[:, 0].mean()) < 0.002  # both sides of the mirror
-
-
 def test_a_learner_is_not_imagined_where_recovery_alone_has_been() -> None:
     record, aside = driven(), np.array([2.0, 0, 0, 0, 0, 0])
     record.extend(record.s + aside, record.a, record.s_next + aside, record.episode, False)
     assert np.abs(imagine(explained(CAR, record), STANDARD, 4000, np.random.default_rng(0)).s[:, 0]).max() < 1.5
-
-
-def test_imagined_targets_by_hand() -> None:
-    cost = TanhCost(goal=0.1, step=0.04, action_cost=0.01)
-    asked = Problem(actions=ACTIONS, cost=cost, fit=FitSetting(discount=0.9, horizon=3))
-    near = imagine(explained(CAR, driven()), STANDARD, 3, np.random.default_rng(0))
-    near.s[:] = [[0.0, 0, 5.0, 0, 0, 0], [0.0, 0, 5.0, 0, 0, 0], [0.49, 4.0, 5.0, 0.8, 0, 0]]
-    near.residual[:], near.earlier[:] = 0.0, 0.0
-    a = np.array([0.0, 0.3, 0.0])
-    first, _ = cost(near.s[:2], a[:2], CAR.step(near.s, a, near.earlier)[:2])
-    y = imagined_targets(asked, CAR, near, a)
-    np.testing.assert_allclose(y, [*first, 1.0], atol=1e-7)
-    y = imagined_targets(asked, CAR, near, a, [level(0.2)])
-    assert y[0] == pytest.approx(0.9**3 * 0.2, abs=1e-6)  # of equal values, the gentlest
-    assert y[2] == pytest.approx(1.0)
 
 
 def straight_on(n: int = 50, yaw: float = 0.0) -> Transitions:
@@ -225,36 +180,6 @@ def test_imagined_cars_drive_greedily_until_they_fail(horizon: int) -> None:
     assert 10 < sum(failed for _, failed in each) < 140
 
 
-def test_imagined_cars_at_speed_turn_the_wheel_less_and_lie_nearer_to_the_recorded_ones(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    fast = replace(STANDARD, scaled_from=2.0, action_scale=max(ACTIONS))
-    setting = FitSetting(horizon=3, nets=2)
-    nets = tuple(tuple(4.0 * p for p in net) for net in nfq.fresh_nets(setting, seed=3))
-    near, plain = (imagine(explained(CAR, driven()), d, 150, np.random.default_rng(5)) for d in (fast, STANDARD))
-    excess = fast.excess(near.s[:, 2])
-    assert excess.min() > 1.5
-    bend = np.abs(near.s[:, 5])
-    assert (bend <= CAR.limit / excess**2).all()
-    assert bend.max() > 0.5 * CAR.limit / excess.max() ** 2
-    assert np.abs(near.s[:, 3]).mean() < 0.5 * np.abs(plain.s[:, 3]).mean()
-    taken: list[tuple[np.ndarray, np.ndarray]] = []
-
-    step = CarModel.step
-
-    def listening(model: CarModel, s: np.ndarray, a: np.ndarray, earlier: np.ndarray, felt: None) -> np.ndarray:
-        taken.append((fast.excess(s[:, 2]), a))
-        return step(model, s, a, earlier, felt)
-
-    monkeypatch.setattr(CarModel, "step", listening)
-    asked = Problem(actions=ACTIONS, cost=TanhCost(trip=50.0), fit=setting, description=fast)
-    imagined_targets(asked, CAR, near, np.zeros(150), nets)
-    for x, a in taken[1:]:
-        nearest = np.abs((a * x**2)[:, None] - np.array(ACTIONS)).min(axis=1)
-        np.testing.assert_allclose(nearest, 0.0, atol=1e-12)
-        assert np.abs(a).max() > 0.0
-
-
 @pytest.mark.parametrize(("seed", "model"), [(0, CAR), (1, CAR), (2, replace(CAR, slip=4e-3))])
 def test_an_imagined_state_is_the_recorded_one_in_another_bend_at_another_speed(
     seed: int, model: CarModel, monkeypatch: pytest.MonkeyPatch
@@ -300,19 +225,6 @@ def test_a_car_that_feels_another_angle_is_imagined_with_it() -> None:
     for row in range(4):
         expected = np.abs(np.array(felt)[:, row] - s[row, 5])
         assert np.isclose(off.T, expected, atol=1e-12).all(axis=1).any()
-
-
-def test_a_heading_is_imagined_with_its_sideways_speed() -> None:
-    """However a state is moved, its course against its nose is that of its steady bend."""
-    tight = replace(STANDARD, low=(*STANDARD.low[:5], -1e-9), high=(*STANDARD.high[:5], 1e-9))
-    s = np.array([[0.1, 0.3, 5.0, 0.02, -0.05, 1.0]])
-    record = Transitions()
-    record.extend(s, [0.5], s, 0)
-    near = imagine(explained(CAR, record), tight, 500, np.random.default_rng(2))
-    signs = -np.sign(near.residual[:, 5])  # the wheel did not turn by the action, 0.5 rad
-    slip = near.s[:, 1] / near.s[:, 2] - near.s[:, 3] - RATIO * (near.s[:, 5] - signs * 1.0)
-    np.testing.assert_allclose(slip, signs * (0.3 / 5.0 - 0.02), atol=1e-9)
-    assert np.std(near.s[:, 3] + RATIO * near.s[:, 5]) > 0.01  # it was moved
 
 
 def test_imagined_states_lie_within_an_eighth_of_the_half_ranges_mostly() -> None:
