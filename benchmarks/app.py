@@ -6,20 +6,21 @@ What is slow to load is imported by the command that needs it.
 import json
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from benchmarks import studies
+from benchmarks.run.compare import Change
 from benchmarks.run.compare import compare as compared
 from benchmarks.run.results import Results, load_results
 from benchmarks.run.spread import WorkersDiedError
+from benchmarks.tables import show
+from steerkit._support.console import console
 from steerkit._support.errors import in_one_line
 
 app = typer.Typer(
@@ -28,15 +29,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 Machine = Annotated[bool, typer.Option("--json", help="Print one JSON object as the last line.")]
-EXTRA = ("joblib", "pandas", "jinja2", "distributed")
-"""What the extra `bench` brings."""
 LEADERBOARD = ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y", "max_jerk")
 """Metrics that are shown after a run."""
 Place = Annotated[Path, typer.Argument(help="Directory of results, as `run` wrote it.")]
 
 
-def _console() -> Any:
-    return Console() if Console().is_terminal else Console(width=120)
+def _say(text: str) -> None:
+    """A line for people, as long as it is."""
+    console.print(text, markup=False, soft_wrap=True, highlight=False)
 
 
 def _require_extra(*modules: str) -> None:
@@ -53,18 +53,15 @@ def list_(scenarios: Annotated[bool, typer.Option(help="Also every scenario and 
     from benchmarks.entries import CONTROLLERS
     from benchmarks.suites import SUITES, jobs, suite
 
-    console = _console()
-    table = Table("suite", "cases", "seeds", "scenarios", "controllers", "what")
     suites = [suite(name) for name in SUITES]
-    for one in suites:
-        sizes = (len(jobs([one])), one.seeds, len(one.scenarios), len(one.controllers))
-        table.add_row(one.name, *map(str, sizes), one.about)
-    console.print(table)
+    columns = ("suite", "cases", "seeds", "scenarios", "controllers", "what")
+    rows = [(s.name, len(jobs([s])), s.seeds, len(s.scenarios), len(s.controllers), s.about) for s in suites]
+    show("", [dict(zip(columns, row)) for row in rows])
     if scenarios:
         names = dict.fromkeys(scene.name for one in suites for scene in one.scenarios)
-        console.print(f"scenarios: {', '.join(names)}\n", markup=False)
+        _say(f"scenarios: {', '.join(names)}\n")
         for controller in CONTROLLERS.values():
-            console.print(f"{controller.name:22s} {controller.about}", markup=False, highlight=False)
+            _say(f"{controller.name:22s} {controller.about}")
 
 
 @app.command()
@@ -105,29 +102,19 @@ def run(
         raise SystemExit(130) from None
     except WorkersDiedError as error:
         raise ValueError(f"{error}; finished cases are kept, and the same command goes on") from error
-    console = _console()
     _leaderboard(results)
     done = [case for case in results.cases if case.status == "done"]
     errors = [case for case in results.cases if case.status == "error"]
     for case in errors[:10]:
-        console.print(f"error in {case.id}: {case.error}", markup=False, soft_wrap=True)
+        _say(f"error in {case.id}: {case.error}")
     absent = {case.controller: case.error for case in results.cases if case.status == "not installed"}
     for name, why in absent.items():
-        console.print(f"{name}: {why}", markup=False, soft_wrap=True)
-    console.print(f"{len(done)} cases in {place}; python -m benchmarks report {place}", soft_wrap=True, markup=False)
+        _say(f"{name}: {why}")
+    _say(f"{len(done)} cases in {place}; python -m benchmarks report {place}")
     if as_json:
         cpu = sum(case.cpu_seconds for case in results.cases if math.isfinite(case.cpu_seconds))
-        print(
-            json.dumps(
-                {
-                    "out": str(place),
-                    "done": len(done),
-                    "errors": len(errors),
-                    "absent": sorted(absent),
-                    "cpu_seconds": cpu,
-                }
-            )
-        )
+        told = {"out": str(place), "done": len(done), "errors": len(errors), "absent": sorted(absent)}
+        print(json.dumps(told | {"cpu_seconds": cpu}))
     if errors:
         raise SystemExit(1)
 
@@ -141,7 +128,7 @@ def report(
     _require_extra("jinja2")
     from benchmarks.report.page import write_report
 
-    _console().print(f"written: {write_report(load_results(place), out or place / 'report.html')}", soft_wrap=True)
+    _say(f"written: {write_report(load_results(place), out or place / 'report.html')}")
 
 
 @app.command()
@@ -163,34 +150,20 @@ def compare(
     as_json: Machine = False,
 ) -> None:
     """Compare two results case by case and say what changed; computing times are left out."""
-
-    console = _console()
     comparison = compared(load_results(a), load_results(b), rel=rel, absolute=absolute)
     for key, (one, two) in comparison.provenance.items():
-        console.print(f"{key}: {one} -> {two}", markup=False, soft_wrap=True, highlight=False)
+        _say(f"{key}: {one} -> {two}")
     for label, names in (("only in A", comparison.only_a), ("only in B", comparison.only_b)):
         if names:
-            console.print(f"{label}: {len(names)} cases: {', '.join(names[:5])}", markup=False, soft_wrap=True)
+            _say(f"{label}: {len(names)} cases: {', '.join(names[:5])}")
     for name, one, two in comparison.status[:most]:
-        console.print(f"{name}: {one} -> {two}", markup=False, soft_wrap=True)
-    if comparison.changes:
-        console.print(
-            _changes(comparison.changes[:most], f"{len(comparison.changes)} of {comparison.compared} numbers differ")
-        )
-    else:
-        console.print(f"all {comparison.compared} numbers of the common cases are the same")
+        _say(f"{name}: {one} -> {two}")
+    if not comparison.changes:
+        _say(f"all {comparison.compared} numbers of the common cases are the same")
+    _show(comparison.changes[:most], f"{len(comparison.changes)} of {comparison.compared} numbers differ")
     if as_json:
-        print(
-            json.dumps(
-                {
-                    "same": comparison.same,
-                    "compared": comparison.compared,
-                    "changed": len(comparison.changes),
-                    "only_a": len(comparison.only_a),
-                    "only_b": len(comparison.only_b),
-                }
-            )
-        )
+        told = {"same": comparison.same, "compared": comparison.compared, "changed": len(comparison.changes)}
+        print(json.dumps(told | {"only_a": len(comparison.only_a), "only_b": len(comparison.only_b)}))
     if strict and not comparison.same:
         raise SystemExit(1)
 
@@ -204,7 +177,7 @@ def golden(
     _require_extra("joblib")
     from benchmarks.run import golden as kept
 
-    console, place = _console(), kept.file()
+    place = kept.FILE
     try:
         old, tolerances = kept.kept(place)
     except ValueError:
@@ -213,13 +186,12 @@ def golden(
         old, tolerances = {}, kept.TOLERANCES
     new = kept.numbers(kept.measured())
     changes = kept.difference(new, old, tolerances)
-    if changes:
-        console.print(_changes(changes, f"{len(changes)} numbers differ from the golden ones"))
-    else:
-        console.print(f"all {sum(map(len, old.values()))} golden numbers hold")
+    if not changes:
+        _say(f"all {sum(map(len, old.values()))} golden numbers hold")
+    _show(changes, f"{len(changes)} numbers differ from the golden ones")
     if update:
         kept.update(new, place)
-        console.print(f"written: {place}", soft_wrap=True)
+        _say(f"written: {place}")
     if as_json:
         print(json.dumps({"changed": [asdict(change) for change in changes], "updated": update}).replace("NaN", "null"))
     if changes and not update:
@@ -250,20 +222,19 @@ def _leaderboard(results: Results) -> None:
     for name in parts.suites(results):
         cases = [case for case in results.cases if case.suite == name and case.kind == "drive"]
         columns, rows = parts.leaderboard(cases, LEADERBOARD)
-        heads = [escape(f"{m.label} [{parts.unit(m)}]") for m in columns]
-        table = Table("controller", "drives", "held", *heads, title=f"{name}: medians over the seeds")
-        for row in rows:
-            table.add_row(row.controller, *[cell.text for cell in row.cells])
-        if rows:
-            _console().print(table)
+        heads = ("controller", "drives", "held", *[f"{m.label} [{parts.unit(m)}]" for m in columns])
+        told = [(row.controller, *[cell.text for cell in row.cells]) for row in rows]
+        show(f"{name}: medians over the seeds", [dict(zip(heads, row)) for row in told])
 
 
-def _changes(changes: Any, title: str) -> Table:
-    table = Table("case", "metric", "before", "after", "change", title=title)
+def _show(changes: Sequence[Change], title: str) -> None:
+    """A table of numbers that have changed."""
+    rows = []
     for change in changes:
         part = f"{change.relative:.1e}" if math.isfinite(change.relative) else "-"
-        table.add_row(change.case, change.metric, f"{change.before:.9g}", f"{change.after:.9g}", part)
-    return table
+        numbers = {"before": f"{change.before:.9g}", "after": f"{change.after:.9g}", "change": part}
+        rows.append({"case": change.case, "metric": change.metric} | numbers)
+    show(title, rows)
 
 
 def main() -> None:

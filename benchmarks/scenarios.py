@@ -1,13 +1,14 @@
-"""What the suites drive: scenarios judged at each controller's own point, and what a compiled drive leaves open."""
+"""What suites and studies drive: scenarios, cars that nothing was tuned on, and what a compiled drive leaves open."""
 
 import hashlib
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
+from types import MappingProxyType
 from typing import Any
 
 from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
-from steerkit.paths.courses import random_course
 from steerkit.scenario import END_MARGIN, Scenario, fleet_scenario, straightest
 from steerkit.scenario.catalogue import PLANTS
 from steerkit.scenario.drive import drive_loop
@@ -44,7 +45,7 @@ def unlike_the_data_sheet() -> tuple[Scenario, ...]:
     Cars of the fleet, each with the delay, lag, offset and play that its number draws, and the Passat with one kind of
     trouble at a time; all with `hard` sensors, on random courses that nothing was tuned on.
     """
-    start = straightest(random_course(int(_ADAPT_COURSE.removeprefix("random-"))))
+    start = straightest(Scenario(course=_ADAPT_COURSE).path())
 
     def passat(name: str, **trouble: Any) -> Scenario:
         return Scenario.under(
@@ -61,6 +62,50 @@ def unlike_the_data_sheet() -> tuple[Scenario, ...]:
         passat("wind-bank", disturbances={"wind": 0.4, "gust": 0.2, "bank_deg": 3.0}),
         passat("noise", sensors={"noise": 2.0, "latency": 0.1}),
     )
+
+
+def of_kind(name: str, **changes: Any) -> tuple[Scenario, ...]:
+    """The cars of a kind, one of `KINDS`, for studies of learners; changes: fields that are to be others."""
+    return tuple(scenario.with_(**changes) for scenario in KINDS[name]())
+
+
+def of_fleet(count: int, rounds: float = 1.0) -> tuple[Scenario, ...]:
+    """The first `count` cars of the fleet, on so many rounds."""
+    return tuple(fleet_scenario(number, course={"rounds": rounds}) for number in range(count))
+
+
+def _delays(course: str, v_min: float, v_max: float) -> tuple[Scenario, ...]:
+    start = straightest(Scenario(course=course).path(), 60.0 if course.startswith("sweeping") else 20.0)
+    driven: Any = dict(course={"name": course, "start": start}, driver={"v_min": v_min, "v_max": v_max})
+    return tuple(
+        Scenario.under("hard", name=f"{delay:g} s", steering={"delay": delay, "lag": 0.2}, **driven) for delay in DELAYS
+    )
+
+
+def _multi_body() -> tuple[Scenario, ...]:
+    start = straightest(Scenario(course=_ADAPT_COURSE).path())
+    return (
+        Scenario.under(
+            "hard",
+            name="multi-body",
+            course={"name": _ADAPT_COURSE, "start": start},
+            vehicle={"name": "bmw-320i", "plant": MULTI_BODY},
+            steering={"delay": 0.2, "lag": 0.2},
+        ),
+    )
+
+
+DELAYS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+"""Steering delays of the kinds `delays` and `fast-delays` [s]."""
+KINDS: Mapping[str, Callable[[], tuple[Scenario, ...]]] = MappingProxyType(
+    {
+        "delays": lambda: _delays(_ADAPT_COURSE, 4.0, 7.5),
+        "fast-delays": lambda: _delays("sweeping-2000", 12.0, 25.0),
+        "multi-body": _multi_body,
+    }
+)
+"""Cars besides the fleet's: the Passat with a delay, at 4 to 7.5 and at 12 to 25 m/s; CommonRoad's multi-body BMW with
+0.2 s of delay. All with `hard` sensors."""
 
 
 def suite_loop(scenario: Scenario, controller: Block, *, doe: Block | None = None, seed: int = 0) -> Loop:

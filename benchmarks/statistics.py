@@ -23,9 +23,6 @@ class Interval:
     high: float
     n: int
 
-    def __str__(self) -> str:
-        return f"{self.value:.3g} [{self.low:.3g}, {self.high:.3g}]"
-
 
 def interval(values: ArrayLike, statistic: Callable[..., Any] = np.mean, *, seed: int = 0) -> Interval:
     """A statistic of values, one a seed, with its percentile bootstrap interval (9,999 resamples, 95 %).

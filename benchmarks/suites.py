@@ -27,8 +27,8 @@ AS_PUBLISHED = ("nfq-paper-idoe", "nfq-paper-bang-bang")
 class Suite:
     """Scenarios, and the controllers that drive all of them."""
 
-    name: str
-    """What it is called."""
+    name: str = ""
+    """What it is called; a suite of `SUITES` as there."""
     about: str
     """One line for `list` and the report."""
     scenarios: tuple[Scenario, ...]
@@ -108,19 +108,16 @@ _ADAPT = ("stanley", *TELLABLE, *(name + ORACLE for name in TELLABLE), "nfq-same
 
 SUITES: dict[str, Callable[[], Suite]] = {
     "paper": lambda: Suite(
-        name="paper",
         about="figures 3 to 6 of the paper: learning on the 800 m course, the final nets' round, beside its values",
         scenarios=(PAPER_ROUND,),
         controllers=("stanley", "stanley-textbook", *LEARNED, *AS_PUBLISHED, "nfq-paper-120"),
     ),
     "tracking": lambda: Suite(
-        name="tracking",
         about="every controller on courses, lane changes, slalom, steps and three plants; nets of the 800 m course",
         scenarios=_tracking_scenarios(),
         controllers=(*ANALYTIC, *LEARNED),
     ),
     "manoeuvres": lambda: Suite(  # as `steerkit prove` has them; bounds of the norms stand in the report
-        name="manoeuvres",
         about="ISO 3888 lane changes and lane keeping of ISO 11270 and UN R79 at 60 and 80 km/h",
         scenarios=tuple(
             scene(name=one.name, course=one.course, driver={"v_min": one.conditions.v, "v_max": one.conditions.v})
@@ -131,7 +128,6 @@ SUITES: dict[str, Callable[[], Suite]] = {
         seeds=3,
     ),
     "robustness": lambda: Suite(
-        name="robustness",
         about="grids of what no controller knows: delay, lag, tyres, friction, ratio, offset, noise, wind, bank",
         scenarios=(
             *_grid(
@@ -159,7 +155,6 @@ SUITES: dict[str, Callable[[], Suite]] = {
         seeds=3,
     ),
     "generalise": lambda: Suite(
-        name="generalise",
         about="nets taught on one course and car, driven on others",
         scenarios=(
             *_of_tracking("paper-round", "paper-linear", "paper-hard", "genesis-recorded", "genesis-rfs-recorded"),
@@ -172,34 +167,29 @@ SUITES: dict[str, Callable[[], Suite]] = {
         seeds=5,
     ),
     "learning-curve": lambda: Suite(
-        name="learning-curve",
         about="driving time against performance, offline iterations, 70 and 120 episodes",
         scenarios=(),
         controllers=(*LEARNED, *AS_PUBLISHED, "nfq-paper-120", "nfq-idoe-offline"),
     ),
     "peers": lambda: Suite(
-        name="peers",
         about="controllers that nobody here wrote: agents of Stable-Baselines3, do-mpc, CommonRoad's car",
         scenarios=_of_tracking("paper-round", "iso3888-1-9", "slalom-9", "curvature-step-7", "slalom-multi-body"),
         controllers=("stanley", "mpc", "nfq-idoe", "sb3-dqn", "sb3-sac", "do-mpc"),
         seeds=3,
     ),
     "adapt": lambda: Suite(
-        name="adapt",
         about="cars unlike their data sheet: learned on that car; analytic with the data sheet or true parameters",
         scenarios=unlike_the_data_sheet(),
         controllers=_ADAPT,
         seeds=3,
     ),
     "adapt-quick": lambda: Suite(
-        name="adapt-quick",
         about="one car of adapt, one minute of learning",
         scenarios=tuple(s for s in unlike_the_data_sheet() if s.name == "passat-ratio-tyres"),
         controllers=_ADAPT[:-1],
         seeds=1,
     ),
     "foreign": lambda: Suite(
-        name="foreign",
         about="cars that no one here wrote: learned on that car; analytic untold, told wrongly, truly, adapting",
         scenarios=foreign_scenarios(),
         controllers=(
@@ -213,7 +203,6 @@ SUITES: dict[str, Callable[[], Suite]] = {
         seeds=2,
     ),
     "compute": lambda: Suite(
-        name="compute",
         about="computing time a step, one drive at a time",
         scenarios=(scene(name="paper-steady", driver={"v_min": 6.0, "v_max": 6.0}),),
         controllers=(*ANALYTIC, "do-mpc", "nfq-idoe-quick", "nfq-bang-bang-quick"),
@@ -222,7 +211,6 @@ SUITES: dict[str, Callable[[], Suite]] = {
         alone=True,
     ),
     "quick": lambda: Suite(
-        name="quick",
         about="a selection of some minutes of paper and tracking, nets after 3 minutes of driving (make bench)",
         scenarios=_of_tracking(
             *("paper-round", "paper-hard", "genesis-rfs-recorded", "iso3888-1-9", "slalom-9", "curvature-step-7"),
@@ -233,7 +221,6 @@ SUITES: dict[str, Callable[[], Suite]] = {
         timed_steps=200,
     ),
     "golden": lambda: Suite(
-        name="golden",
         about="a small one whose numbers the tests hold",
         scenarios=(
             scene(
@@ -255,7 +242,7 @@ SUITES: dict[str, Callable[[], Suite]] = {
 
 def suite(name: str) -> Suite:
     """The suite of that name; raises ValueError with the nearest and the valid names."""
-    return SUITES[known(name, SUITES, "suite")]()
+    return replace(SUITES[known(name, SUITES, "suite")](), name=name)
 
 
 def elsewhere(one: Suite, *, course: str = "", vehicle: str = "", controllers: Sequence[str] = ()) -> Suite:

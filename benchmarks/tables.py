@@ -5,6 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 
@@ -24,12 +25,14 @@ def say(text: str) -> None:
 
 
 def show(title: str, rows: Sequence[Any]) -> None:
-    """A table of results with the same names."""
+    """A table of results with the same names; nothing where there are none."""
     every = [_named(row) for row in rows]
-    table = Table(*[name.replace("_", " ") for name in every[0]], title=title, title_justify="left")
+    if not every:
+        return
+    table = Table(*[escape(name.replace("_", " ")) for name in every[0]], title=escape(title), title_justify="left")
     for row in every:
-        table.add_row(*map(cell, row.values()))
-    Console(width=200).print(table, markup=False)
+        table.add_row(*[escape(cell(value)) for value in row.values()])
+    (Console() if Console().is_terminal else Console(width=200)).print(table)
 
 
 def show_figures(figures: Mapping[str, Any]) -> None:

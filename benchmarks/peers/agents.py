@@ -59,14 +59,11 @@ def stable_baselines(name: str, *, steps: int, seed: int, judge: Judge) -> tuple
         for check in range(_CHECKS):
             model.learn(steps // _CHECKS, reset_num_timesteps=check == 0, progress_bar=False)
             block = from_stable_baselines(model, task)
-            rows.append(_row(judge(block), check, model.num_timesteps * task.dt, model.num_timesteps))
+            steps_until = {"t": model.num_timesteps * task.dt, "transitions": model.num_timesteps}
+            row = {"iterations": check + 1, **steps_until, **judge(block)}
+            rows.append([float(row.get(column, np.nan)) for column in CURVE])
     assert block is not None
     return block, dict(zip(CURVE, np.array(rows).T, strict=True))
-
-
-def _row(figures: dict[str, float], check: int, t: float, transitions: int) -> list[float]:
-    row = {"t": t, "iterations": check + 1.0, "transitions": float(transitions), **figures}
-    return [float(row.get(column, np.nan)) for column in CURVE]
 
 
 @contextmanager

@@ -1,14 +1,14 @@
 """CommonRoad's multi-body car as a plant."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from steerkit._support.errors import require
 from steerkit.diagram.block import State
+from steerkit.diagram.maths import rk4
 from steerkit.plants.single_track import IntegratedCar
 from steerkit.vehicles import BMW_320I, FORD_ESCORT, G, Vehicle, vehicle_text
 
@@ -79,24 +79,20 @@ class CommonRoadMultiBody(IntegratedCar):
 
     def output(self, t: Any, x: State, u: Any) -> Any:
         v_x, r, v_y = x[3], x[5], x[10]
-        a_y = self._slope(np.array(x[:29]), x[30])[10] + v_x * r
+        a_y = self._slope(x[:29], x[30])[10] + v_x * r
         return self.Y(x[0], x[1], x[4], math.hypot(v_x, v_y), math.atan2(v_y, v_x), r, float(a_y), x[29])
 
     def update(self, t: Any, x: State, u: Any, y: Any) -> State:
         p = self.vehicle
         delta_sw = min(max(u.delta_sw_cmd, -p.delta_sw_max), p.delta_sw_max)
-        z, v, h = np.array(x[:29]), u.v_cmd, self.dt / self.substeps
-        z[2] = delta_sw / float(p.steer_ratio)
+        z: Sequence[float] = (*x[:2], delta_sw / float(p.steer_ratio), *x[3:29])
         for _ in range(self.substeps):
-            k1 = self._slope(z, v)
-            k2 = self._slope(z + 0.5 * h * k1, v)
-            k3 = self._slope(z + 0.5 * h * k2, v)
-            z = z + h / 6.0 * (k1 + 2.0 * (k2 + k3) + self._slope(z + h * k3, v))
-        return (*z.tolist(), delta_sw, v)
+            z = rk4(lambda state: self._slope(state, u.v_cmd), z, self.dt / self.substeps)
+        return (*z, delta_sw, u.v_cmd)
 
-    def _slope(self, z: Any, v: float) -> Any:
-        if not np.isfinite(z).all():  # the model's own functions raise on NaN, blocks hand it on
-            return np.full(29, np.nan)
+    def _slope(self, z: Sequence[float], v: float) -> Sequence[float]:
+        if not all(map(math.isfinite, z)):  # the model's own functions raise on NaN, blocks hand it on
+            return [math.nan] * 29
         rhs, _, parameters = self._model
         a_x = min(max(_FORWARD * (v - z[3]), -_PEDALS), _PEDALS)
-        return np.array(rhs(z.tolist(), [0.0, a_x], parameters))
+        return rhs(list(z), [0.0, a_x], parameters)

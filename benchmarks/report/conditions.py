@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import combinations
 from typing import Any
 
@@ -10,29 +10,19 @@ import numpy as np
 
 from benchmarks.report.parts import controllers
 from benchmarks.run.results import Case
+from steerkit.scenario.parts import PARTS
 
 WORDS = ("name", "title", "what", "label", "description", "about", "course.text", "vehicle.text", "driver.text")
 """Fields of a scenario that say nothing of how it is driven."""
 
-UNITS = {
-    "v": "m/s",
-    "v_min": "m/s",
-    "v_max": "m/s",
-    "delay": "s",
-    "lag": "s",
-    "latency": "s",
-    "wind": "m/s²",
-    "gust": "m/s²",
-}
-"""Units of a scenario's fields; the others are numbers, or end in _deg."""
-
 
 def condition(field: str) -> str:
     """A field of a scenario, such as `steering.delay`, in words, with its unit."""
-    table, _, field = field.rpartition(".")
-    words = ("believed " if table == "knowledge" else "") + field.removesuffix("_deg").replace("_", " ")
-    unit = "deg" if field.endswith("_deg") else UNITS.get(field, "")
-    return f"{words} [{unit}]" if unit else words
+    table, _, name = field.rpartition(".")
+    words = ("believed " if table == "knowledge" else "") + name.removesuffix("_deg").replace("_", " ")
+    units = {f.name: f.metadata.get("number", ("1",))[0] for f in fields(PARTS[table])} if table else {"v": "m/s"}
+    unit = units.get(name, "1").replace("^2", "²")
+    return words if unit == "1" else f"{words} [{unit}]"
 
 
 @dataclass(frozen=True)
@@ -50,10 +40,13 @@ class Grid:
 
 def grids(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[Grid]:
     """Failure-boundary maps: every pair of a scenario's numbers that the cases vary over a grid, all else equal."""
+    known = {name: conditions(protocol[name]) for name in dict.fromkeys(c.scenario for c in cases) if name in protocol}
+    named = dict.fromkeys(field for fixed in known.values() for field in fixed)
+    varying = [f for f in named if len({fixed[f] for fixed in known.values() if _numeric(fixed, f)}) > 1]
     maps = []
-    for x, y in combinations(_varying(cases, protocol), 2):
-        for fixed, group in _groups(cases, protocol, (x, y)).items():
-            at = {name: (_value(protocol, name, x), _value(protocol, name, y)) for name in group}
+    for x, y in combinations(varying, 2):
+        for fixed, group in _groups(known, (x, y)).items():
+            at = {name: (float(known[name][x]), float(known[name][y])) for name in group}
             xs, ys = sorted({p[0] for p in at.values()}), sorted({p[1] for p in at.values()})
             if not _covers(at, xs, ys):
                 continue
@@ -86,31 +79,14 @@ def conditions(scenario: Mapping[str, Any]) -> dict[str, Any]:
     return fields
 
 
-def _known(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    return {name: conditions(protocol[name]) for name in dict.fromkeys(c.scenario for c in cases) if name in protocol}
-
-
-def _varying(cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Numeric conditions that differ between the scenarios of the cases."""
-    known = _known(cases, protocol)
-    fields = dict.fromkeys(field for fixed in known.values() for field in fixed)
-    return [f for f in fields if len({fixed[f] for fixed in known.values() if _numeric(fixed, f)}) > 1]
-
-
 def _numeric(fixed: Mapping[str, Any], field: str) -> bool:
     value = fixed.get(field)
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _value(protocol: Mapping[str, Mapping[str, Any]], scenario: str, field: str) -> float:
-    return float(conditions(protocol[scenario])[field])
-
-
-def _groups(
-    cases: Sequence[Case], protocol: Mapping[str, Mapping[str, Any]], free: tuple[str, ...]
-) -> dict[str, list[str]]:
+def _groups(every: Mapping[str, Mapping[str, Any]], free: tuple[str, ...]) -> dict[str, list[str]]:
     """Scenarios that agree in all but the `free` conditions, by what tells one such group from the others in words."""
-    known = {n: fixed for n, fixed in _known(cases, protocol).items() if all(_numeric(fixed, f) for f in free)}
+    known = {n: fixed for n, fixed in every.items() if all(_numeric(fixed, f) for f in free)}
     groups: dict[str, list[str]] = {}
     for n, fixed in known.items():
         groups.setdefault(repr(sorted((k, repr(v)) for k, v in fixed.items() if k not in free)), []).append(n)

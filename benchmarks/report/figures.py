@@ -9,7 +9,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -85,18 +84,11 @@ def svg(figure: Figure, words: str) -> str:
     )
 
 
-def new(height: float, *, width: float = WIDTH, square: bool = False) -> tuple[Figure, Axes]:
-    """A figure with one panel [in]."""
-    figure, (axes,) = new_figure(1, width=width, height=height)
-    if square:
-        axes.set_aspect("equal", adjustable="datalim")
-    return figure, axes
-
-
 def course_map(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str, Look], magnified: float) -> Figure:
     """Where each controller drove, its distance from the path drawn `magnified` times; grey is the path itself."""
     with style():
-        figure, axes = new(3.9, width=5.4, square=True)
+        figure, (axes,) = new_figure(width=5.4, height=3.9)
+        axes.set_aspect("equal", adjustable="datalim")
         longest = max(drives.values(), key=lambda d: float(d["s"].max() - d["s"].min()))
         centre, _ = _frame(longest)
         axes.plot(*centre.T, color=COLOURS["muted"], lw=3.0, alpha=0.35, solid_capstyle="round")
@@ -113,7 +105,7 @@ def course_map(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str
 def error_along(drives: Mapping[str, Mapping[str, np.ndarray]], look: Mapping[str, Look]) -> Figure:
     """e [m] over the driven distance, one line a controller."""
     with style():
-        figure, axes = new(3.9, width=5.4)
+        figure, (axes,) = new_figure(width=5.4, height=3.9)
         for name, drive in drives.items():
             dt = float(np.mean(np.diff(drive["t"]))) if len(drive["t"]) > 1 else 0.0
             axes.plot(np.cumsum(drive["v"]) * dt, drive["e"], lw=0.9, label=name, **look[name].line)
@@ -160,7 +152,7 @@ def bands(
 ) -> Figure:
     """One line a controller with its interval: curves are (middle, low, high), each (len(x),); infinite is a gap."""
     with style():
-        figure, axes = new(2.9)
+        figure, (axes,) = new_figure(width=WIDTH, height=2.9)
         highest = max([float(np.max(m[np.isfinite(m)], initial=0.0)) for m, *_ in curves.values()] or [0.0])
         for name, (middle, low, high) in curves.items():
             top = np.where(np.isfinite(high), high, 10.0 * highest if highest else 1.0)

@@ -59,8 +59,10 @@ def _runs(results: Results, cases: Sequence[Case]) -> dict[str, dict[str, list[C
 def _curves(
     scenario: str, label: str, learners: Mapping[str, list[Curve]], x: np.ndarray, at: Callable[[Curve], np.ndarray]
 ) -> Curves:
-    rms_e = {name: _band([_held_at(at(c), _rms(c), x, math.inf) for c in runs]) for name, runs in learners.items()}
-    good = {name: _shares([_held_at(at(c), good_nets(c), x, 0.0) for c in runs]) for name, runs in learners.items()}
+    rms_e, good = dict[str, Band](), dict[str, Band]()
+    for name, runs in learners.items():
+        rms_e[name] = _band([_held_at(at(c), _rms(c), x, math.inf) for c in runs], lambda rms: interval(rms, np.median))
+        good[name] = _band([_held_at(at(c), good_nets(c), x, 0.0) for c in runs], lambda held: share(held > 0.5))
     return Curves(scenario, label, x, rms_e, good, {name: len(runs) for name, runs in learners.items()})
 
 
@@ -73,15 +75,7 @@ def _held_at(at: np.ndarray, values: np.ndarray, x: np.ndarray, before: float) -
     return np.concatenate([[before], values])[np.searchsorted(at, x, side="right")]
 
 
-def _band(rows: list[np.ndarray]) -> Band:
-    return _by_column(rows, lambda column: interval(column, np.median))
-
-
-def _shares(rows: list[np.ndarray]) -> Band:
-    return _by_column(rows, lambda column: share(column > 0.5))
-
-
-def _by_column(rows: list[np.ndarray], of: Callable[[np.ndarray], Interval]) -> Band:
+def _band(rows: list[np.ndarray], of: Callable[[np.ndarray], Interval]) -> Band:
     """Value, low and high of each column; between two new nets columns repeat, and are worked out once."""
     columns, which = np.unique(np.array(rows), axis=1, return_inverse=True)
     bands = np.array([(i.value, i.low, i.high) for i in map(of, columns.T)])[which]

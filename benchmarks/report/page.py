@@ -8,7 +8,6 @@ the protocol and where the numbers came from.
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -16,8 +15,7 @@ import jinja2
 import numpy as np
 
 from benchmarks.report import conditions, figures, learning, parts
-from benchmarks.report.overall import JUDGED, glances
-from benchmarks.report.verdict import NOTHING, SMALL_PRINT
+from benchmarks.report.verdict import JUDGED, NOTHING, SMALL_PRINT, glances
 from benchmarks.run.results import Case, Results
 from benchmarks.statistics import interval
 from steerkit.metrics import Metric
@@ -25,15 +23,6 @@ from steerkit.metrics import Metric
 TEMPLATE = FilePath(__file__).with_name("report.html.j2")
 LINES_ON_A_MAP = 12
 """More controllers than these make a map unreadable."""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """One picture with its caption."""
-
-    title: str
-    text: str
-    svg: str
 
 
 def write_report(results: Results, out: str | FilePath) -> FilePath:
@@ -48,7 +37,7 @@ def html(results: Results) -> str:
     """The report as one HTML document. Raises ValueError if no case has finished."""
     if not results.cases:
         raise ValueError(f"{results.place}: no case has finished, so there is nothing to report; run the suite first")
-    look = figures.looks(list(dict.fromkeys([*known_controllers(results), *parts.controllers(results.cases)])))
+    look = figures.looks(list(dict.fromkeys([*results.provenance["controllers"], *parts.controllers(results.cases)])))
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -138,8 +127,8 @@ def maps(results: Results, cases: Sequence[Case], look: dict[str, figures.Look])
     return entries
 
 
-def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[Picture]:
-    """Two pictures a scenario of learning: the share of seeds that drive well, and how well."""
+def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures.Look]) -> list[dict[str, str]]:
+    """Two pictures a scenario of learning, with captions: the share of seeds that drive well, and how well."""
     pictures = []
     for curves in learning.learning(results, cases):
         x = curves.label
@@ -150,14 +139,14 @@ def curve_plots(results: Results, cases: Sequence[Case], look: dict[str, figures
             f"Wilson's 95 % interval. Seeds: {seeds}."
         )
         title = f"{curves.scenario}: good drivers over {x.partition(' [')[0]}"
-        pictures.append(Picture(title, text, figures.svg(good, title)))
+        pictures.append({"title": title, "text": text, "svg": figures.svg(good, title)})
         rms = figures.bands(curves.x, curves.rms_e, look, x_label=x, y_label="RMS e [m]", log=True)
         text = (
             "RMS e of one round by the net of that moment: median over the seeds, bootstrap 95 % interval. The line "
             "begins when half the seeds hold the round."
         )
         title = f"{curves.scenario}: RMS e over {x.partition(' [')[0]}"
-        pictures.append(Picture(title, text, figures.svg(rms, title)))
+        pictures.append({"title": title, "text": text, "svg": figures.svg(rms, title)})
     return pictures
 
 
@@ -173,19 +162,12 @@ def protocol(results: Results) -> dict[str, Any]:
     return {"common": common, "fields": differing, "rows": rows}
 
 
-def known_controllers(results: Results) -> dict[str, Any]:
-    """What the provenance says of the controllers, by name."""
-    kept = results.provenance.get("controllers", {})
-    return kept if isinstance(kept, dict) else {}
-
-
 def kinds(results: Results) -> dict[str, tuple[str, str]]:
     """What each controller is (analytic, learned, peer) and one line about it; empty words where that was not kept."""
-    entries = known_controllers(results)
-    return {
-        name: (str(entries.get(name, {}).get("kind", "")), str(entries.get(name, {}).get("about", "")))
-        for name in parts.controllers(results.cases)
-    }
+    entries = results.provenance["controllers"]
+    nothing = {"kind": "", "about": ""}
+    found = {name: nothing | entries.get(name, {}) for name in parts.controllers(results.cases)}
+    return {name: (entry["kind"], entry["about"]) for name, entry in found.items()}
 
 
 def provenance(results: Results) -> list[tuple[str, str]]:
@@ -211,28 +193,21 @@ _DRIVING = (
 )
 
 
-@dataclass(frozen=True)
-class PaperRow:
-    """One value of the paper beside ours."""
+def paper_rows(results: Results) -> list[dict[str, str]]:
+    """The paper's values beside those of the suite `paper`; empty where that was not run.
 
-    what: str
-    paper: str
-    ours: str
-    """Median with its 95 % interval over the seeds; a dash where the run has no such case."""
-
-
-def paper_rows(results: Results) -> list[PaperRow]:
-    """The paper's values beside those of the suite `paper`; empty where that was not run."""
+    ours: median with its 95 % interval over the seeds; a dash where the run has no such case.
+    """
     cases = [c for c in results.cases if c.suite == "paper" and c.status == "done"]
     if not cases:
         return []
     steering = dict.fromkeys(c.controller for c in cases)
     learners = [c for c in results.cases if c.kind == "learn" and c.status == "done" and c.controller in steering]
-    rows = [PaperRow(what, paper, _each(learners, name)) for what, paper, name in _LEARNING]
+    rows = [{"what": what, "paper": paper, "ours": _each(learners, name)} for what, paper, name in _LEARNING]
     for kind, e, a_y in _DRIVING:
         here = [c for c in cases if kind in c.controller]
-        rows.append(PaperRow(f"{kind}: range of e in a round [m]", e, _ranges(results, here)))
-        rows.append(PaperRow(f"{kind}: largest |a_y| [m/s²]", a_y, _each(here, "max_a_y")))
+        rows.append({"what": f"{kind}: range of e in a round [m]", "paper": e, "ours": _ranges(results, here)})
+        rows.append({"what": f"{kind}: largest |a_y| [m/s²]", "paper": a_y, "ours": _each(here, "max_a_y")})
     return rows
 
 

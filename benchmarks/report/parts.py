@@ -2,30 +2,18 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from benchmarks.run.results import Case, Results
 from steerkit.metrics import TABLE, Metric
 
-_FRONT = (
-    Metric(
-        name="rms_e_front",
-        label="RMS e, front axle",
-        unit="m",
-        group="tracking",
-        source="usual practice",
-        what="root mean square of the front axle's e, wherever the controller has its own measured",
-    ),
-    Metric(
-        name="max_e_front",
-        label="max |e|, front axle",
-        unit="m",
-        group="tracking",
-        source="usual practice",
-        what="largest |e| of the front axle, wherever the controller has its own measured",
-    ),
+_AT_THE_FRONT = "of the front axle, wherever the controller has its own measured"
+_FRONT = tuple(
+    replace(m, name=f"{m.name}_front", label=f"{m.label}, front axle", what=f"{m.what}, {_AT_THE_FRONT}", limit=None)
+    for m in TABLE
+    if m.name in ("rms_e", "max_e")
 )
 METRICS = tuple(m for known in TABLE for m in ((known, *_FRONT) if known.name == "max_e" else (known,)))
 """The table's metrics, and those that the suites measure besides, in the order of the report."""

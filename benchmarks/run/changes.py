@@ -75,25 +75,6 @@ class Job:
     """Analytic controllers made for the new car, of which the best is compared with, or a newly learned net."""
 
 
-@dataclass(frozen=True)
-class Changed:
-    """What became of it, one entry a change."""
-
-    best: tuple[str, ...]
-    """The best that was made for the new car: an analytic controller, or `learned`."""
-    best_rms_e: tuple[float, ...]
-    """Until the next change [m]."""
-    recovered: tuple[float, ...]
-    """Time from the change to the end of the first 20 s in which RMS e was within 1.2 times the best one's in the same
-    20 s [s]; infinite if there is none."""
-    x: tuple[float, ...]
-    """RMS e from 60 s after the change on over the best one's there; NaN where the phase is shorter."""
-    max_e: tuple[float, ...]
-    """Largest true |e| from the change on [m]."""
-    failures: tuple[int, ...]
-    """How often the learner was taken from the wheel."""
-
-
 def phases(job: Job) -> list[Scenario]:
     """The scenario before the change and after each; the controllers of a later one are told of it."""
     base = scene(job.car, 4.0, 7.0, job.seed, job.conditions)
@@ -101,8 +82,15 @@ def phases(job: Job) -> list[Scenario]:
     return [base.with_(name=f"{base.name}-{job.change}-{n}", **tables(fields)) for n, fields in enumerate(made)]
 
 
-def one_change(job: Job) -> Changed:
-    """Drive it, then those made for the new car."""
+def one_change(job: Job) -> dict[str, Any]:
+    """Drive it, then those made for the new car; of each field a value for each change.
+
+    best: the best that was made for the new car, an analytic controller or `learned`; best_rms_e: until the next change
+    [m]. recovered: time from the change to the end of the first 20 s in which RMS e was within 1.2 times the best
+    one's in the same 20 s [s]; infinite if there is none. x: RMS e from 60 s after the change on over the best one's
+    there; NaN where the phase is shorter. max_e: largest true |e| from the change on [m]. failures: how often the
+    learner was taken from the wheel.
+    """
     require(
         job.car in CHANGES[job.change].cars,
         "changes",
@@ -118,8 +106,8 @@ def one_change(job: Job) -> Changed:
         name, ideal = best_of(scenario, job, start, end)
         within, later_x = judged(t - start, e**2, ideal**2)
         rows.append((name, rms(ideal), within, later_x, largest(e), failures[n]))
-    best, best_rms_e, recovered, x, max_e, taken = zip(*rows, strict=True)
-    return Changed(best=best, best_rms_e=best_rms_e, recovered=recovered, x=x, max_e=max_e, failures=taken)
+    fields = ("best", "best_rms_e", "recovered", "x", "max_e", "failures")
+    return dict(zip(fields, zip(*rows, strict=True), strict=True))
 
 
 def driven(before: Scenario, later: Sequence[Scenario], job: Job) -> tuple[LearningRun, list[float], list[int]]:

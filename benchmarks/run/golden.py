@@ -11,23 +11,12 @@ from benchmarks.run.runner import run
 from benchmarks.suites import suite
 from steerkit._support.files import write_text
 
-_PLACE = FilePath("tests", "golden", "benchmarks.json")
+FILE = FilePath(__file__).parents[2] / "tests" / "golden" / "benchmarks.json"
+"""Where the golden numbers are in a checkout; they are no part of an installed package."""
 TOLERANCES = {"rel": 1e-6, "abs": 1e-8}
 """Other compilers and libms move the numbers by 1e-12 or so; anything that counts moves them by far more."""
 Numbers = Mapping[str, Mapping[str, float]]
 """Metrics by case."""
-
-
-def file() -> FilePath:
-    """Where the golden numbers are: in the checkout that this runs from, or in which one stands.
-
-    They are no part of an installed package. Raises ValueError where there is no checkout.
-    """
-    roots = (FilePath(__file__).parents[2], FilePath.cwd())
-    for root in roots:
-        if (root / _PLACE.parent).is_dir():
-            return root / _PLACE
-    raise ValueError(f"golden numbers are kept in a checkout, as {_PLACE}; here is none: run this in one")
 
 
 def measured() -> Results:
@@ -50,7 +39,8 @@ def kept(file: FilePath) -> tuple[dict[str, dict[str, float]], dict[str, float]]
         data = json.loads(file.read_text(encoding="utf-8"))
         return data["cases"], data["tolerances"]
     except FileNotFoundError as error:
-        raise ValueError(f"{file} is missing; `python -m benchmarks golden --update` makes it") from error
+        what = f"{file} is missing, which only a checkout has; `python -m benchmarks golden --update` makes it"
+        raise ValueError(what) from error
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{file} is broken ({error}); `python -m benchmarks golden --update` makes it anew") from error
 

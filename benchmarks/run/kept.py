@@ -1,7 +1,6 @@
 """Results of a study's jobs, kept in a file as they come, so that a study that was stopped goes on."""
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -39,25 +38,25 @@ def stored(file: Path) -> dict[str, Row]:
 
 
 def done(
-    function: Callable[[Any], Any], jobs: Sequence[Any], those: Workers, keep: Path | None, until: float = math.inf
-) -> dict[Any, Row]:
-    """Each of `jobs` with its row: those that `keep` holds, and the others, said and kept as they come.
+    function: Callable[[Any], Mapping[str, Any]], jobs: Sequence[Any], those: Workers, keep: Path | str | None = None
+) -> list[Row]:
+    """The rows of `jobs` in their order: those that the file `keep` holds, and the others, said and kept as they come.
 
-    jobs: dataclasses; function: of one, returns a flat dataclass. until: the `time.monotonic` from which on none is
-    begun. Raises ValueError as `stored`.
+    jobs: dataclasses; function: of one, returns what came of it by name. Raises ValueError as `stored`.
     """
-    known = stored(keep) if keep else {}
+    file = Path(keep) if keep else None
+    known = stored(file) if file else {}
     rows = {job: known[_name(job)] for job in jobs if _name(job) in known}
     left = [job for job in jobs if job not in rows]
-    if keep:
-        keep.parent.mkdir(parents=True, exist_ok=True)
-    for number, made in those.done(function, left, until=until, say=say):
+    if file:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    for number, made in those.done(function, left, say=say):
         job = left[number]
-        rows[job] = json.loads(json.dumps(asdict(job) | asdict(made) | {"code": source()}))
-        if keep:
-            append_line(keep, json.dumps({"job": _name(job), "row": rows[job]}))
+        rows[job] = json.loads(json.dumps(asdict(job) | {**made, "code": source()}))
+        if file:
+            append_line(file, json.dumps({"job": _name(job), "row": rows[job]}))
         say(f"{len(rows)} of {len(jobs)}: {as_line(rows[job])}")
-    return {job: rows[job] for job in jobs if job in rows}
+    return [rows[job] for job in jobs]
 
 
 def _name(job: Any) -> str:

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.foreign_cars import scene
 from benchmarks.run.kept import Row
 from benchmarks.run.trials import Taken, TrialDrive, drive_each, train
 from steerkit.learning.experiment import Experiment
+from steerkit.learning.settings import DEFAULT
 from steerkit.metrics import GOOD, Criterion, Summary, of_log
 from steerkit.scenario import Scenario, drive
 
@@ -17,35 +19,11 @@ OTHER = 1000
 """What is added to a run's seed for the driver and the sensors of test drives."""
 FIRST_NETS = 12
 """So many of a run's first nets are test-driven in search of the first good one, then every fourth."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Learned:
-    """What a learning run and its final net came to; times in seconds of driving, None where it did not happen.
-
-    Figures of the final net's test drive are NaN where there is none.
-    """
-
-    first_round_done: float | None
-    good: float | None
-    """When the first good net took the wheel."""
-    failures: int
-    departure: float
-    """Largest true |e| of the whole run, first failure and recovery included [m]."""
-    stuck: int
-    """How often recovery steered for 20 s without getting to hand over."""
-    transitions: int
-    nets: int
-    held: bool
-    """Did the final net drive the round, with |e| <= 0.5 m?"""
-    final_rms_e: float
-    final_max_e: float
-    final_wheel_rate_deg: float
-    """RMS rate of the steering wheel [deg/s]."""
-    final_max_jerk: float
-    """Largest lateral jerk, smoothed over 0.5 s [m/s^3]."""
-    dead_time: float
-    """That the learner found [s]."""
+TOLD = ("stanley-delay", "lqr", "mpc", "lqr-offset-free", "lqr-adaptive", "mpc-adaptive")
+"""Those of which the best is compared with."""
+EASED = 1.1
+"""A net is good with what GOOD asks for, or with so many times what the best one that is told reaches [1]."""
+_STRETCH = 400.0  # m: over which the wheel rates of the last nets are compared
 
 
 class Learner:
@@ -73,7 +51,14 @@ class Learner:
         return self.drive(self.trained.nets[-1]) if self.trained.nets else None
 
     def figures(self, *, every: int = 4, look_for_good: bool = True) -> dict[str, Any]:
-        """The fields of `Learned`; every: as for `first_good`."""
+        """What the run and its final net came to; every: as for `first_good`.
+
+        first_round_done, good: when it came, and when the first good net took the wheel [s] of driving; None: never.
+        departure: largest true |e| of the whole run, first failure and recovery included [m]. stuck: how often recovery
+        steered for 20 s without getting to hand over. held: did the final net drive the round, with |e| <= 0.5 m? Then
+        figures of its test drive, NaN where there is none: [m], [deg/s] (RMS), jerk smoothed over 0.5 s [m/s^3].
+        dead_time: that the learner found [s].
+        """
         run, nets, final = self.trained.run, self.trained.nets, self.final
         summary = final.summary if final else None
         forecast = nets[-1].policy.forecast if nets else None
@@ -148,3 +133,69 @@ def good(rows: Sequence[Row]) -> dict[str, float]:
         "good_median_s": median(rows, "good"),
         "good_worst_s": worst(rows, "good"),
     }
+
+
+@dataclass(frozen=True)
+class Job:
+    """A learner to be run on a car that no one here wrote: a part of the study `foreign`."""
+
+    car: str
+    v_min: float
+    v_max: float
+    seed: int
+    minutes: float
+    conditions: str
+    last: int
+    """Of how many of the last nets the wheel rates are compared."""
+    told: tuple[str, ...] = TOLD
+    """Analytic controllers to compare with."""
+    rounds: float = 1.0
+    """That those drive."""
+
+
+def one_learner(job: Job) -> dict[str, Any]:
+    """Run it and compare its nets with the best analytic controller; a net is good by the criterion of `eased`.
+
+    rms_x: RMS e of the final net over the best one's, infinite for one that did not hold; rms_x_1: the same of the net
+    that steered after a minute. wheel_spread: by what factor the wheel rate of one of the last nets is off their
+    median; infinite if one did not hold.
+    """
+    scenario, test = scene(job.car, job.v_min, job.v_max, job.seed, job.conditions), job.seed + OTHER
+    best, told = best_told(scenario.with_(course={"rounds": job.rounds}), job.told, test)
+    learner = Learner(Experiment(setting=DEFAULT, scenario=scenario, minutes=job.minutes, seed=job.seed), eased(told))
+    nets = learner.trained.nets
+    early = [net for net in nets if net.t <= 60.0]
+    return {
+        **learner.figures(),
+        "best": best,
+        "best_rms_e": told.rms_e,
+        "best_wheel_deg": told.rms_wheel_rate_deg,
+        "best_good": GOOD.met(told),
+        "rms_x": over(learner.final, "rms_e", told),
+        "rms_x_1": over(learner.drive(early[-1]) if early else None, "rms_e", told),
+        "wheel_x": over(learner.final, "rms_wheel_rate_deg", told),
+        "wheel_spread": spread([wheel_rate(scenario, net, test) for net in nets[-job.last :]]),
+    }
+
+
+def eased(told: Summary) -> Criterion:
+    """GOOD, where the best told controller is within it with a tenth to spare; else EASED times what that one reaches:
+    a bound that the car's own wander and slew break under any controller says nothing of a net."""
+    bounds = {name: max(getattr(GOOD, name), EASED * getattr(told, name)) for name in ("max_e", "rms_e", "max_jerk")}
+    return Criterion(**{name: bound if math.isfinite(bound) else getattr(GOOD, name) for name, bound in bounds.items()})
+
+
+def wheel_rate(scenario: Scenario, net: Taken, seed: int) -> float:
+    """RMS wheel rate of a net [deg/s] on the first 400 m of a round; infinite if it does not hold them."""
+    part = min(1.0, _STRETCH / scenario.round_length)
+    doe = DEFAULT.element(scenario.nominal)
+    log = drive.drive(scenario, net.policy, doe=doe, seed=seed, rounds=part, only_while_held=True)
+    return of_log(log).rms_wheel_rate_deg if drive.held_all_along(log) else math.inf
+
+
+def spread(rates: list[float]) -> float:
+    """By what factor the one that is furthest off is off their median; infinite if one is, NaN for none."""
+    if not rates or not np.isfinite(rates).all():
+        return math.inf if rates else math.nan
+    middle = float(np.median(rates))
+    return max(max(rates) / middle, middle / min(rates))

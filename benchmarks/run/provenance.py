@@ -71,7 +71,7 @@ def digest(job: Job, scenario: Scenario | None, timed_steps: int) -> str:
         "versions": versions(),
         "machine": platform.machine(),
     }
-    return _hash(json.dumps(content, sort_keys=True).encode())
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _controller(name: str) -> dict[str, Any]:
@@ -100,7 +100,3 @@ def _processor() -> str:
     except OSError:
         return platform.processor()
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
-
-
-def _hash(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:16]

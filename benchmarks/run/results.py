@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 FORMAT = "steerkit benchmark 1"
 FOLDERS = ("nets", "curves", "trajectories", "cases")
 """In this order the files of a case are written."""
-STATUSES = ("done", "error", "not installed")
-"""`done`: it ran to its end, well or badly (`metric.held`); `error`: an exception, its text in `error`."""
 TRAJECTORY = {
     "t": "s",
     "s": "m",
@@ -83,7 +81,8 @@ class Case:
     kind: str = "drive"
     """`drive`, or `learn` for a training with the test drives of its nets."""
     status: str = "done"
-    """One of `STATUSES`."""
+    """`done`: it ran to its end, well or badly (`metric.held`); `error`: an exception, its text in `error`; or `not
+    installed`."""
     error: str = ""
     """What went wrong, in one line."""
     metrics: Mapping[str, float] = field(default_factory=dict)
@@ -93,12 +92,6 @@ class Case:
     """Computing time that the case took [s]."""
     digest: str = ""
     """Hash of all that determines the numbers: scenario, controller, seed and source; equal digests, equal numbers."""
-
-    def __post_init__(self) -> None:
-        if self.status not in STATUSES:
-            raise ValueError(f"Case: status {self.status!r}; valid: {', '.join(STATUSES)}")
-        if self.kind not in ("drive", "learn"):
-            raise ValueError(f"Case: kind {self.kind!r}; valid: drive, learn")
 
     @property
     def id(self) -> str:

@@ -3,13 +3,9 @@
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
-
-from rich.console import Console
-from rich.progress import Progress
 
 from benchmarks.entries import controller
 from benchmarks.run.drives import Policy, drive, shape
@@ -18,6 +14,7 @@ from benchmarks.run.results import Case, Results, Store, load_results, packed
 from benchmarks.run.spread import Where, Workers, computing
 from benchmarks.run.trainings import TRAININGS, learn
 from benchmarks.suites import Job, Suite, jobs
+from benchmarks.tables import say
 from steerkit.scenario import Scenario
 
 _BATCH = 8  # cases that are handed out together at most
@@ -63,13 +60,17 @@ def run(
     directory of other results, and for a cluster that cannot do it (see `dask_client`); WorkersDiedError when workers
     die again and again.
     """
+
+    def tell(text: str) -> None:
+        if not quiet:
+            say(text)
+
     where = Where(backend, address, workers)
     planned = jobs(suites, seeds, only)
     scenarios = {scene.name: scene for one in suites for scene in one.scenarios}
     timed = {one.name: one.timed_steps for one in suites}
     alone = {one.name for one in suites if one.alone}
-    with ExitStack() as stack:
-        those = stack.enter_context(computing(where))
+    with computing(where) as those:
         store = Store(place)
         store.open(provenance(suites, planned, seeds))
         todo = [job for job in planned if not store.has(job.id)]
@@ -78,15 +79,21 @@ def run(
             [job for job in todo if job.kind == "drive" and job.suite not in alone],
             [job for job in todo if job.kind == "drive" and job.suite in alone],
         )
-        display = stack.enter_context(_progress(len(planned), len(planned) - len(todo), quiet))
+        count, tenth = len(planned) - len(todo), max(1, len(planned) // 10)
+        if count:
+            tell(f"{count} of {len(planned)} cases have finished before; going on")
         for number, phase in enumerate(phases):
             these = Workers(1) if number == 2 else those
             shared = place if these.client is None else None
             work = [work_of(job, scenarios, timed, store, shared) for job in phase]
             batches = together(work, these.count)
-            coming = (done for _, several in these.done(carry_out_all, batches, say=display.say) for done in several)
+            coming = (done for _, several in these.done(carry_out_all, batches, say=tell) for done in several)
             for done in kept(coming, store):
-                display.finished(done.case)
+                count, case = count + 1, done.case
+                if case.status == "error":
+                    tell(f"{case.id}: {case.error}")
+                if count % tenth == 0 or count == len(planned):
+                    tell(f"{count} of {len(planned)} cases: {case.scenario} {case.controller} {case.seed}")
     return load_results(place)
 
 
@@ -187,40 +194,3 @@ def work_of(
         file = store.net_file(job.training)
         policy = Policy.load(file, one.setting) if file.exists() else None
     return Work(job, scenarios.get(job.taught_on or job.scenario), timed.get(job.suite, 0), policy, place)
-
-
-class _Display:
-    """Tells how far it is: a bar on a terminal, a line every tenth of the way elsewhere."""
-
-    def __init__(self, bar: Progress, total: int, before: int, quiet: bool):
-        self.bar, self.total, self.quiet = bar, total, quiet
-        self.count, self.errors = before, 0
-        self.task = bar.add_task("cases", total=total, completed=before)
-
-    def finished(self, case: Case) -> None:
-        """One more case."""
-        self.count += 1
-        if case.status == "error":
-            self.errors += 1
-            self.say(f"{case.id}: {case.error}")
-        errors = f", {self.errors} errors" if self.errors else ""
-        told = f"{self.count} of {self.total} cases: {case.scenario} {case.controller} {case.seed}{errors}"
-        self.bar.update(self.task, completed=self.count, description=told)
-        tenth = max(1, self.total // 10)
-        if not self.bar.console.is_terminal and (self.count % tenth == 0 or self.count == self.total):
-            self.say(told)
-
-    def say(self, text: str) -> None:
-        """A line, unless quiet."""
-        if not self.quiet:
-            self.bar.console.print(text, soft_wrap=True, markup=False, highlight=False)
-
-
-@contextmanager
-def _progress(total: int, before: int, quiet: bool) -> Iterator[_Display]:
-    console = Console(stderr=True)
-    with Progress(console=console, disable=quiet or not console.is_terminal) as bar:
-        display = _Display(bar, total, before, quiet)
-        if before:
-            display.say(f"{before} of {total} cases have finished before; going on")
-        yield display

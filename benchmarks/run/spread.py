@@ -14,10 +14,8 @@ numbers. They are asked with built-in functions only, so that they can answer wh
 
 import argparse
 import asyncio
-import math
 import os
 import platform
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -79,13 +77,7 @@ class Where:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Where to compute, on a study's command line."""
-    parser.add_argument(
-        "--processes",
-        "--jobs",
-        type=int,
-        default=None,
-        help="processes at once (default 2, with --quick this one alone; -1: a core each)",
-    )
+    parser.add_argument("--jobs", type=int, default=None, help="processes (2; with --quick this one; -1: one a core)")
     parser.add_argument("--backend", default="loky", help="loky: processes here; dask: the workers of a cluster")
     parser.add_argument("--address", default=None, help="of the Dask scheduler, tcp://HOST:PORT")
 
@@ -93,7 +85,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def where(options: argparse.Namespace) -> Where:
     """What `add_options` added. Raises ValueError as `Where`."""
     usual = 1 if options.quick else 2  # another process takes longer to start than a quick form has to do
-    return Where(options.backend, options.address, usual if options.processes is None else options.processes)
+    return Where(options.backend, options.address, usual if options.jobs is None else options.jobs)
 
 
 @contextmanager
@@ -121,18 +113,12 @@ class Workers:
         return self.processes if self.processes > 0 else os.cpu_count() or 1
 
     def done(
-        self,
-        function: Callable[[Piece], Result],
-        pieces: Sequence[Piece],
-        *,
-        until: float = math.inf,
-        say: Say = lambda text: None,
+        self, function: Callable[[Piece], Result], pieces: Sequence[Piece], *, say: Say = lambda text: None
     ) -> Iterator[tuple[int, Result]]:
         """Number and result of every piece, as they finish; an error of a piece ends it.
 
-        until: the `time.monotonic` from which on no piece is handed out. say: receives what needs no answer. Raises
-        WorkersDiedError when processes of this machine die again and again, ValueError for a worker that came later to
-        a cluster and has other sources.
+        say: receives what needs no answer. Raises WorkersDiedError when processes of this machine die again and again,
+        ValueError for a worker that came later to a cluster and has other sources.
         """
         import joblib
         from joblib.externals.loky.process_executor import TerminatedWorkerError
@@ -142,22 +128,17 @@ class Workers:
             how: dict[str, Any] = dict(backend="loky", inner_max_num_threads=1)
         else:
             how = dict(backend="dask", client=self.client)
-        while left and time.monotonic() < until:
+        while left:
             before, hands = len(left), self.count
-            ahead = hands if until < math.inf else 2 * hands if self.client is None else max(2 * hands, _LEAST)
             try:
                 with joblib.parallel_config(**how):
                     parallel = joblib.Parallel(
                         n_jobs=min(hands, len(pieces)) if self.client is None else -1,  # one more would start in vain
                         return_as="generator_unordered",
                         batch_size=1,
-                        pre_dispatch=ahead,
+                        pre_dispatch=2 * hands if self.client is None else max(2 * hands, _LEAST),
                     )
-                    given = (
-                        joblib.delayed(_like_here)(me, function, number, piece)
-                        for number, piece in list(left.items())
-                        if time.monotonic() < until
-                    )
+                    given = [joblib.delayed(_like_here)(me, function, number, piece) for number, piece in left.items()]
                     for number, result in parallel(given):
                         del left[number]
                         yield number, result

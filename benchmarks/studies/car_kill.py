@@ -156,14 +156,10 @@ class Bench:
         while time.monotonic() < end:
             state = self.state()
             if state:
-                self.engage()
+                engage(self.socket, timeout=60.0)
                 return state
             time.sleep(0.1)
         raise CarLost(f"the controller did not come up; see {self.folder}")
-
-    def engage(self) -> None:
-        """As an operator would, again and again until it is done."""
-        engage(self.socket, timeout=60.0)
 
     @property
     def recording(self) -> Path:
@@ -182,7 +178,7 @@ class Bench:
         time.sleep(self.dice.uniform(0.3, self.longest))
         with CarClient(self.socket, controller=False) as operator:
             if operator.query().mode != "ENGAGED":  # the learner went too far off; that is not what is tested here
-                self.engage()
+                engage(self.socket, timeout=60.0)
                 time.sleep(0.3)
             mode = str(operator.query().mode)
         state = self.state()
@@ -276,10 +272,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     for name, work in WORKS.items():
         turns = [victim for victim in wanted if VICTIMS[victim][0] == name]
-        groups = [[victim] for victim in turns]
-        if work.goes_on and turns:
-            groups = [turns]
-        for group in groups:
+        for group in [turns] if work.goes_on and turns else [[victim] for victim in turns]:
             rows += killed(name, group, dice, longest)
     total: dict[str, Any] = {"kills": len(rows)}
     for victim in victims:

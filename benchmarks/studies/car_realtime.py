@@ -27,15 +27,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.tables import show, show_figures
-from steerkit._support.clock import Clock
 from steerkit.car import loop as loops
-from steerkit.car import processes, protocol
+from steerkit.car import protocol
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import CarConfig, load
 from steerkit.car.core import Core
 from steerkit.car.learner import CarLearner
+from steerkit.car.session import Options, Session, session
 from steerkit.car.state_machine import Mode, Order
 from steerkit.diagram import realtime
 from steerkit.learning.settings import DEFAULT
@@ -98,42 +97,39 @@ def drive(
     seed: int = 0,
 ) -> dict[str, Any]:
     """One drive; its figures. safe: a learner's safety filter. seed: of the learner's nets and the human's speed."""
-    config = load("dbw-kit.toml")
-    socket, place, log = str(folder / "socket"), folder / "drive.mcap", folder / "car.jsonl"
-    simulated, channel = processes.start_simulated("dbw-kit.toml", log=str(log), seed=seed)
-    with (folder / "server.log").open("w", encoding="utf-8") as text:
-        server = processes.start_car_server(
-            "dbw-kit.toml", socket, recording=str(place), channel=channel, realtime=fifo, log=text
-        )
+    place, log = folder / "drive.mcap", folder / "car.jsonl"
+    options = Options(
+        config="dbw-kit.toml",
+        simulated=True,
+        socket=str(folder / "socket"),
+        recording=str(place),
+        realtime=fifo,
+        simulate={"log": str(log), "seed": seed},
+    )
     beside = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
-    granted = ""
+    squares, worst, engaged, lost, granted = 0.0, 0.0, 0, "", "not asked for"
+    timing, engagements, more = realtime.Timing(period=DT), list[str](), dict[str, Any]()
     try:
-        with attended(socket), CarClient(socket) as link:
+        with session(options) as here, attended(here.socket):
             over = threading.Event()
-            engagements: list[str] = []
-            threading.Thread(target=operate, args=(socket, over, engagements), daemon=True).start()
-            squares, worst, engaged, lost = 0.0, 0.0, 0, ""
-            timing = realtime.Timing(period=DT)
+            threading.Thread(target=operate, args=(here.socket, over, engagements), daemon=True).start()
 
             def watch(run: realtime.Run) -> None:
                 nonlocal squares, worst, engaged, timing
-                timing, snapshot = run.timing, link.last
+                timing, snapshot = run.timing, here.link.last
                 if snapshot and snapshot.mode is Mode.ENGAGED:
                     e = run.sample["path.e"]
                     squares, worst, engaged = squares + e * e, max(worst, abs(e)), engaged + 1
 
             if fifo:
                 granted = realtime.preferred()
-                print(granted)
-            clock = Clock()
-            more: dict[str, Any] = {}
+            seconds = 60.0 * minutes
             try:
                 if controller == "learn":
-                    how: dict[str, Any] = {"safe": safe, "seed": seed}
-                    learn(config, link, folder / "run", 60.0 * minutes, clock, watch, more, **how)
+                    learn(here, folder / "run", seconds, watch, more, safe=safe, seed=seed)
                 else:
-                    block = loops.controller_named(controller, config)
-                    loops.drive(config, link, block, duration=60.0 * minutes, clock=clock, watch=watch)
+                    block = loops.controller_named(controller, here.config)
+                    loops.drive(here.config, here.link, block, duration=seconds, clock=here.clock, watch=watch)
             except CarLost as error:  # a machine that stands still for a second
                 lost = str(error)
             over.set()
@@ -143,21 +139,18 @@ def drive(
         for process in beside:
             process.kill()
             process.wait()
-        server.terminate()
-        server.wait(10.0)
-        simulated.terminate()
     recorded = recordings.read(place)
-    frames, same = recordings.replayed_exactly(recorded, Core(config))
+    frames, same = recordings.replayed_exactly(recorded, Core(here.config))
     asked = same_asked = 0
     for drive in replays.drives(recorded):
         asked += len(drive.requests)
-        same_asked += replays.replayed_requests(drive, config)
+        same_asked += replays.replayed_requests(drive, here.config)
     heard = heard_by(log)
     times = [h["t"] for h in heard if h.get("enable") == 1]
     return {
         "controller": controller,
         "minutes": minutes,
-        "sched_fifo": granted or "not asked for",
+        "sched_fifo": granted,
         "busy_processes": busy,
         **timing.summary(),
         **more,
@@ -175,31 +168,6 @@ def drive(
         "cores": os.cpu_count(),
         "load_average": os.getloadavg()[1],
     }
-
-
-def compare(options: argparse.Namespace) -> dict[str, Any]:
-    """With and without SCHED_FIFO, idle and busy, one drive each; prints them side by side."""
-    rows = []
-    for busy in dict.fromkeys((0, options.load)):
-        for fifo in (False, True):
-            with tempfile.TemporaryDirectory() as folder:
-                rows.append(drive(options.controller, minutes(options), Path(folder), fifo=fifo, busy=busy))
-    names = (
-        "sched_fifo",
-        "busy_processes",
-        "load_average",
-        "steps",
-        "misses",
-        "jitter_p50_ms",
-        "jitter_p99_ms",
-        "jitter_max_ms",
-        "longest_step_ms",
-        "longest_gap_on_bus_ms",
-        "faults",
-        "lost",
-    )
-    show("with and without SCHED_FIFO", [{name: row[name] for name in names} for row in rows])
-    return {"drives": rows}
 
 
 def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
@@ -221,55 +189,37 @@ def operate(socket: str, over: threading.Event, engagements: list[str]) -> None:
 
 
 def learn(
-    config: CarConfig,
-    link: CarClient,
-    place: Path,
-    seconds: float,
-    clock: Clock,
-    watch: Any,
-    more: dict[str, Any],
-    *,
-    safe: bool,
-    seed: int,
-) -> realtime.Run:
+    here: Session, place: Path, seconds: float, watch: Any, more: dict[str, Any], *, safe: bool, seed: int
+) -> None:
     """A learning run from nothing; its counts go to `more`, those of the safety filter's of the last minute."""
-    link.wait(timeout=10.0)
+    here.link.wait(timeout=10.0)
     best = since = 0.0
     failures = 0
     corrected: deque[bool] = deque(maxlen=round(60.0 / DT))
-    how = replace(DEFAULT, safe=safe)
-    with CarLearner(how, place, config, link, seed=seed) as learner:
+    with CarLearner(replace(DEFAULT, safe=safe), place, here.config, here.link, seed=seed) as learner:
+        counts = learner.learner_state.counts
 
         def count(run: realtime.Run) -> bool:
             nonlocal best, since, failures
             watch(run)
             if safe and run.sample["supervisor.learning"] > 0.5:
                 corrected.append(run.sample["safety.share"] > 0.0)
-            if (
-                learner.learner_state.counts.failures > failures
-                or link.last is None
-                or link.last.mode is not Mode.ENGAGED
-            ):
-                failures, since = learner.learner_state.counts.failures, learner.learner_state.counts.driven
-            best = max(best, learner.learner_state.counts.driven - since)
+            if counts.failures > failures or here.link.last is None or here.link.last.mode is not Mode.ENGAGED:
+                failures, since = counts.failures, counts.driven
+            best = max(best, counts.driven - since)
             return False
 
         try:
-            return learner.run(seconds, clock=clock, watch=count)
+            learner.run(seconds, clock=here.clock, watch=count)
         finally:  # also where the car is lost
             more |= {
-                "nets": learner.learner_state.counts.updates,
+                "nets": counts.updates,
                 "transitions": len(learner.learner_state.transitions),
-                "failures": learner.learner_state.counts.failures,
+                "failures": counts.failures,
                 "longest_without_failure_m": best,
                 "filter_faults": dict(learner.filter_faults),
                 "interventions_pct": 100.0 * sum(corrected) / max(1, len(corrected)),
             }
-
-
-def minutes(options: argparse.Namespace) -> float:
-    """How long a drive lasts."""
-    return (0.05 if options.quick else 5.0) if options.minutes is None else options.minutes
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -284,18 +234,31 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Drive and print: once, or in all the ways that --compare asks for."""
+    """Drive and print: once, or with and without SCHED_FIFO, idle and busy, side by side, as --compare asks."""
+    minutes = (0.05 if options.quick else 5.0) if options.minutes is None else options.minutes
+    ways = [(options.load, options.fifo)]
     if options.compare:
-        return compare(options)
-    with tempfile.TemporaryDirectory() as folder:
-        row = drive(
-            options.controller,
-            minutes(options),
-            Path(folder),
-            fifo=options.fifo,
-            busy=options.load,
-            safe=options.safe,
-            seed=options.seed,
-        )
-    show_figures(row)
-    return row
+        ways = [(busy, fifo) for busy in dict.fromkeys((0, options.load)) for fifo in (False, True)]
+    rows, how = [], {"safe": options.safe, "seed": options.seed}
+    for busy, fifo in ways:
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(drive(options.controller, minutes, Path(folder), fifo=fifo, busy=busy, **how))
+    if not options.compare:
+        show_figures(rows[0])
+        return rows[0]
+    names = (
+        "sched_fifo",
+        "busy_processes",
+        "load_average",
+        "steps",
+        "misses",
+        "jitter_p50_ms",
+        "jitter_p99_ms",
+        "jitter_max_ms",
+        "longest_step_ms",
+        "longest_gap_on_bus_ms",
+        "faults",
+        "lost",
+    )
+    show("with and without SCHED_FIFO", [{name: row[name] for name in names} for row in rows])
+    return {"drives": rows}

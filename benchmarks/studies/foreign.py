@@ -42,11 +42,9 @@ goes on after a stop.
 
 import argparse
 import math
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,10 +52,9 @@ import numpy as np
 from benchmarks.foreign_cars import CARS, HOME, scene, told
 from benchmarks.run import changes, kept, spread
 from benchmarks.run.changes import CHANGES, one_change
-from benchmarks.run.foreign_learning import TOLD as ANALYTIC
-from benchmarks.run.foreign_learning import Job as LearnerJob
-from benchmarks.run.foreign_learning import one_learner
-from benchmarks.run.learners import good, median, share, worst
+from benchmarks.run.learners import TOLD as ANALYTIC
+from benchmarks.run.learners import Job as LearnerJob
+from benchmarks.run.learners import good, median, one_learner, share, worst
 from benchmarks.tables import show, show_figures
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.diagram.units import radians_of
@@ -92,19 +89,6 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Recovery:
-    """What became of it; after `BACK`."""
-
-    max_e: float
-    back: bool
-    stays: bool
-    swing: float
-    """Amplitude of a limit cycle [m]; 0 without one."""
-    period: float
-    """Its period [s]; NaN without one."""
-
-
-@dataclass(frozen=True)
 class AdaptiveJob:
     """One drive of an adaptive controller that is told a lag [s]."""
 
@@ -117,28 +101,20 @@ class AdaptiveJob:
     conditions: str
 
 
-@dataclass(frozen=True)
-class Adapted:
-    """What became of it."""
-
-    rms_e: float
-    """After `ADAPTED` [m]; infinite for a lost drive."""
-
-
-def one_drive(job: Job) -> Recovery:
-    """Drive it."""
+def one_drive(job: Job) -> dict[str, Any]:
+    """Drive it, and judge it."""
     scenario = scene(job.car, job.speed, job.speed, job.seed, job.conditions)
     scenario = told(scenario, 0.0 if job.told == "none" else float(job.told))
     log = from_beside(scenario, job.controller, job.seed, job.seconds)
     return judged(log.t, log["path.e"], job.seconds)
 
 
-def one_adaptive(job: AdaptiveJob) -> Adapted:
-    """Drive it."""
+def one_adaptive(job: AdaptiveJob) -> dict[str, Any]:
+    """Drive it. rms_e: after `ADAPTED` [m]; infinite for a lost drive."""
     scenario = scene(job.car, job.speed, job.speed, job.seed, job.conditions).with_(knowledge={"lag": job.lag})
     log = from_beside(scenario, job.controller, job.seed, job.seconds)
     held = log.t[-1] >= job.seconds - 0.1
-    return Adapted(rms(log["path.e"][log.t >= min(ADAPTED, 0.5 * job.seconds)]) if held else math.inf)
+    return {"rms_e": rms(log["path.e"][log.t >= min(ADAPTED, 0.5 * job.seconds)]) if held else math.inf}
 
 
 def from_beside(scenario: Scenario, controller: str, seed: int, seconds: float) -> Log:
@@ -156,14 +132,18 @@ def from_beside(scenario: Scenario, controller: str, seed: int, seconds: float) 
     )
 
 
-def judged(t: Any, e: Any, seconds: float) -> Recovery:
-    """What a drive's e [m] at times t [s] shows, if it should have lasted that long [s]."""
+def judged(t: Any, e: Any, seconds: float) -> dict[str, Any]:
+    """What a drive's e [m] at times t [s] shows from `BACK` on, if it should have lasted that long [s].
+
+    max_e: largest |e| [m]. back, stays: within `SETTLED` at `BACK`, within `STAYS` from then on. swing, period: of a
+    limit cycle, its amplitude [m], 0 without one, and its period [s], NaN without one.
+    """
     lost = not (t[-1] >= seconds - 0.1 and np.isfinite(e).all())
     late = t >= min(BACK, 0.5 * t[-1] if lost else BACK)
     largest = math.inf if lost else float(np.abs(e[late]).max())
     amplitude, period = limit_cycle(t[late], e[late])
     back = not lost and abs(float(e[late][0])) <= SETTLED
-    return Recovery(max_e=largest, back=back, stays=largest <= STAYS, swing=amplitude, period=period)
+    return {"max_e": largest, "back": back, "stays": largest <= STAYS, "swing": amplitude, "period": period}
 
 
 def limit_cycle(t: Any, e: Any) -> tuple[float, float]:
@@ -203,40 +183,25 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--minutes", type=float, default=5.0, help="of each learner")
     parser.add_argument("--phase", type=float, default=2.0, help="minutes before and after each change")
     parser.add_argument("--keep", default="", metavar="FILE", help="keeps drives; those in it are not made again")
-    parser.add_argument("--at-most", type=float, default=math.inf, metavar="MINUTES", help="then no drive is begun")
     spread.add_options(parser)
 
 
 def jobs_of(part: str, options: argparse.Namespace) -> list[Any]:
     """What a part drives, seed by seed, so that a study that is stopped has all cars."""
-    quick = options.quick
+    quick, some = options.quick, slice(1 if options.quick else None)
     seeds = range(options.first_seed, options.first_seed + (1 if quick else options.seeds))
-    cars = [car for car in options.cars or CARS if car in CARS][: 1 if quick else None]
+    cars = [(seed, car) for seed in seeds for car in [car for car in options.cars or CARS if car in CARS][some]]
+    steady = [(seed, car, speed) for seed, car in cars for speed in CARS[car].speeds[some]]
     if part == "recovery":
-        return [
-            Job(car, speed, factor, AUTO, seed, 15.2 if quick else 40.0, "clean")
-            for seed in seeds
-            for car in cars
-            for speed in CARS[car].speeds[: 1 if quick else None]
-            for factor in (("1",) if quick else TOLD)
-        ]
+        seconds, factors = (15.2, ("1",)) if quick else (40.0, TOLD)
+        return [Job(car, v, factor, AUTO, seed, seconds, "clean") for seed, car, v in steady for factor in factors]
     if part == "adaptive":
-        return [
-            AdaptiveJob(car, speed, name, lag, seed, 2.0 if quick else 60.0, "clean")
-            for seed in seeds
-            for car in cars
-            for speed in CARS[car].speeds[: 1 if quick else None]
-            for name in ADAPTIVE[-1 if quick else 0 :]
-            for lag in LAGS
-        ]
+        seconds, names = (2.0, ADAPTIVE[-1:]) if quick else (60.0, ADAPTIVE)
+        ways = [(name, lag) for name in names for lag in LAGS]
+        return [AdaptiveJob(car, v, *way, seed, seconds, "clean") for seed, car, v in steady for way in ways]
     if part == "learner":
         how = (0.2, "hard", 1, ANALYTIC[1:2], 0.05) if quick else (options.minutes, "hard", LAST)
-        return [
-            LearnerJob(car, *speeds, seed, *how)
-            for seed in seeds
-            for car in cars
-            for speeds in CARS[car].ranges[: 1 if quick else None]
-        ]
+        return [LearnerJob(car, *speeds, seed, *how) for seed, car in cars for speeds in CARS[car].ranges[some]]
     short: dict[str, Any] = {"minutes": 0.05, "told": ("lqr",)} if quick else {"minutes": options.phase}
     every = [
         changes.Job(car=car, change=change, seed=seed, conditions="hard", **short)
@@ -256,20 +221,15 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "learner": (one_learner, learner_figures),
         "changes": (one_change, changes_figures),
     }
-    until, report = time.monotonic() + 60.0 * options.at_most, dict[str, Any]()
-    keep, left, codes = Path(options.keep) if options.keep else None, 0, set[str]()
+    report, codes = dict[str, Any](), set[str]()
     with spread.computing(spread.where(options)) as those:
         for part in [part for part in PARTS if part in options.parts]:
             function, figures = how[part]
-            jobs = jobs_of(part, options)
-            rows = list(kept.done(function, jobs, those, keep, until).values())
-            left += len(jobs) - len(rows)
+            rows = kept.done(function, jobs_of(part, options), those, options.keep)
             codes |= {row["code"] for row in rows}
             report |= figures(rows) if rows else {}
     show_figures(report)
-    if left:
-        print(f"{left} drives are left; the same command with --keep goes on")
-    return report | {"left": left, "codes": len(codes)}
+    return report | {"codes": len(codes)}
 
 
 def _groups(rows: Iterable[kept.Row], *names: str) -> dict[tuple[Any, ...], list[kept.Row]]:

@@ -23,11 +23,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
 from benchmarks.run.trials import drive_each
-from benchmarks.tables import show
+from benchmarks.tables import as_line, say, show
 from steerkit._support.random import normals, seed_state
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out, State
@@ -189,8 +187,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     count, updates = (1, 1) if options.quick else (options.logs, UPDATES)
     with tempfile.TemporaryDirectory() as folder:
         first = 2 if options.quick else options.first  # a log that is not refused
-        for number in track(range(first, first + count), "logs", console=Console(stderr=True)):
+        for number in range(first, first + count):
             rows.append(one_log(number, options.seconds, updates, Path(folder)))
+            say(as_line(rows[-1]))
     refused = sum(bool(row["refused"]) for row in rows)
     good = sum(row.get("good", False) for row in rows)
     shown = ("number", "by", "course", "car", "channel", "rms_e", "max_e", "refused")

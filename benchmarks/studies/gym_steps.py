@@ -18,6 +18,7 @@ import gymnasium
 import numpy as np
 
 import steerkit.gym  # noqa: F401
+from benchmarks.tables import show
 from steerkit._support import native
 from steerkit.scenario import CONDITIONS
 
@@ -57,29 +58,22 @@ def many(cars: int, task: dict[str, Any]) -> Callable[[int], int]:
     return run
 
 
-def rate(
-    run: Callable[[int], int], seconds: float, steps: int = 200, clock: Callable[[], float] = time.process_time
-) -> float:
-    """Steps a second of CPU time, or of another clock."""
-    begin, done = clock(), 0
-    while clock() - begin < seconds:
-        done += run(steps)
-    return done / (clock() - begin)
-
-
-def best_of(ways: dict[str, Callable[[int], int]], turns: int, *how: Any) -> dict[str, float]:
-    """The best `rate` of each way, in turns: others use this machine too."""
+def best_of(
+    ways: dict[str, Callable[[int], int]],
+    turns: int,
+    seconds: float,
+    steps: int = 200,
+    clock: Callable[[], float] = time.process_time,
+) -> dict[str, float]:
+    """The most steps a second of CPU time, or of another clock, of each way, in turns: others use this machine too."""
     best = dict.fromkeys(ways, 0.0)
     for _ in range(turns):
         for name, run in ways.items():
-            best[name] = max(best[name], rate(run, *how))
+            begin, done = clock(), 0
+            while clock() - begin < seconds:
+                done += run(steps)
+            best[name] = max(best[name], done / (clock() - begin))
     return best
-
-
-def on_the_wall(cars: int, task: dict[str, Any], *, quick: bool) -> dict[str, float]:
-    """Steps a second of all cores, by name."""
-    ways = {"vector": many(cars, task | {"backend": "c"}), "SyncVectorEnv": many(cars, task | SYNC)}
-    return best_of(ways, 1 if quick else 12, 0.02 if quick else 0.3, 20 * cars, time.perf_counter)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -97,8 +91,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "start": "beginning",
         "duration": 5.0,
     }
-    wide = 8 if options.quick else WIDE
-    wall = on_the_wall(wide, task, quick=options.quick) if native.compiler() else {}
+    wide, wall = 8 if options.quick else WIDE, dict[str, float]()
+    if native.compiler():
+        both = {"vector": many(wide, task | {"backend": "c"}), "SyncVectorEnv": many(wide, task | SYNC)}
+        turns, seconds = (1, 0.02) if options.quick else (12, 0.3)
+        wall = best_of(both, turns, seconds, 20 * wide, time.perf_counter)
     ways = {f"1 car, {backend}": one(task | {"backend": backend}) for backend in backends}
     for cars in (4,) if options.quick else (16, WIDE):
         ways[f"{cars} cars, SyncVectorEnv"] = many(cars, task | SYNC)
@@ -106,14 +103,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             ways[f"{cars} cars, {backend}"] = many(cars, task | {"backend": backend})
     best = best_of(ways, 1 if options.quick else 6, 0.05 if options.quick else 0.2)
     result: dict[str, Any] = {"conditions": options.conditions, "steps_per_cpu_second": best}
-    print("env steps a second of CPU time")
-    for name, value in best.items():
-        print(f"{name:28}{value:20,.0f}")
+    show("", [{"env steps": name, "a second of CPU time": f"{value:,.0f}"} for name, value in best.items()])
     if wall:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        print(f"\n{wide:,} cars, {cores} cores, env steps a second of the clock")
-        for name, value in wall.items():
-            print(f"{name:28}{value:20,.0f}")
+        show(f"{wide:,} cars, {cores} cores", [{"": name, "a second": f"{value:,.0f}"} for name, value in wall.items()])
         result |= {"vector_cars": wide, "cores": cores, "vector_steps_per_second": wall["vector"]}
         result |= {"x_sync_vector_env": wall["vector"] / wall["SyncVectorEnv"]}
     return result

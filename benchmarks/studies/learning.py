@@ -9,7 +9,7 @@ last one, not the best.
     python -m benchmarks study learning --setting default --seeds 10 --conditions hard [--quick] [--json]
 
 Does it learn any car there is? With --fleet N: N cars drawn from the fleet, each on a course of its own; with --cars
-KIND: cars with steering delays, at low or at high speed, CommonRoad's multi-body car (`benchmarks.run.fleet`). The
+KIND: cars with steering delays, at low or at high speed, CommonRoad's multi-body car (`benchmarks.scenarios`). The
 learner knows nothing of its car. Analytic controllers drive the same test once with the true parameters
 (`Knowledge.oracle`, delay and lag) and once with the data sheet (mass, tyres, ratio; nothing of the steering's delay,
 lag and offset). Play and sensor noise are unknown to all. A ratio is that of the learner's final net to the analytic
@@ -20,14 +20,13 @@ With --backend dask --address tcp://HOST:PORT the workers of a cluster do it; th
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from benchmarks.run import kept, spread
-from benchmarks.run.fleet import KINDS, of_fleet, of_kind
-from benchmarks.run.learners import OTHER, Learned, Learner, best_of, best_told, good, median, over, share, worst
+from benchmarks.run.learners import OTHER, Learner, best_of, best_told, good, median, over, share, worst
+from benchmarks.scenarios import KINDS, of_fleet, of_kind
 from benchmarks.tables import show, show_figures
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import SETTINGS, changed, setting
@@ -41,55 +40,35 @@ TOLD_DATA_SHEET = ("stanley", "lqr", "mpc")
 """Those that a data sheet is enough for."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Seed(Learned):
-    """What one seed came to; good: every net is judged."""
+def one_seed(experiment: Experiment) -> dict[str, Any]:
+    """Run one seed, then test-drive its nets: until the first GOOD one, the last ones, the final one.
 
-    last_nets_hold: float
-    """Share of the last `LAST` nets."""
-    longest_training: float
-    """Computing time [s]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Car(Learned):
-    """What one car came to, beside the best analytic controllers."""
-
-    name: str
-    best: str
-    rms_x_oracle: float
-    wheel_x_oracle: float
-    jerk_x_oracle: float
-    best_on_data_sheet: str
-    rms_x_data_sheet: float
-
-
-def one_seed(experiment: Experiment) -> Seed:
-    """Run one seed, then test-drive its nets: until the first GOOD one, the last ones, the final one."""
+    last_nets_hold: share of the last `LAST` nets. longest_training: computing time [s].
+    """
     learner = Learner(experiment)
     last = [learner.drive(net).held for net in learner.trained.nets[-LAST:]]
-    return Seed(
+    return {
         **learner.figures(every=1),
-        last_nets_hold=float(np.mean(last)) if last else 0.0,
-        longest_training=learner.trained.longest_training,
-    )
+        "last_nets_hold": float(np.mean(last)) if last else 0.0,
+        "longest_training": learner.trained.longest_training,
+    }
 
 
-def one_car(experiment: Experiment) -> Car:
-    """Let a car learn, and compare its final net."""
+def one_car(experiment: Experiment) -> dict[str, Any]:
+    """Let a car learn, and compare its final net with the best analytic controllers: with the truth, and without."""
     learner, scenario, test = Learner(experiment), experiment.scenario, experiment.seed + OTHER
     best, truth = best_told(scenario, ORACLE, test)
     on_sheet, sheet = best_of(scenario.with_(knowledge={"delay": 0.0, "lag": 0.0}), TOLD_DATA_SHEET, test)
-    return Car(
-        name=scenario.name,
+    return {
         **learner.figures(),
-        best=best,
-        rms_x_oracle=over(learner.final, "rms_e", truth),
-        wheel_x_oracle=over(learner.final, "rms_wheel_rate_deg", truth),
-        jerk_x_oracle=over(learner.final, "rms_jerk", truth),
-        best_on_data_sheet=on_sheet,
-        rms_x_data_sheet=over(learner.final, "rms_e", sheet),
-    )
+        "name": scenario.name,
+        "best": best,
+        "rms_x_oracle": over(learner.final, "rms_e", truth),
+        "wheel_x_oracle": over(learner.final, "rms_wheel_rate_deg", truth),
+        "jerk_x_oracle": over(learner.final, "rms_jerk", truth),
+        "best_on_data_sheet": on_sheet,
+        "rms_x_data_sheet": over(learner.final, "rms_e", sheet),
+    }
 
 
 def of_seeds(rows: Sequence[kept.Row]) -> dict[str, Any]:
@@ -174,7 +153,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         for seed in range(options.first_seed, options.first_seed + count)
     ]
     with spread.computing(where) as those:
-        rows = list(kept.done(one_car if fleet else one_seed, jobs, those, None).values())
+        rows = kept.done(one_car if fleet else one_seed, jobs, those)
     show(f"{' '.join((options.setting, *options.changes))}, {minutes:g} minutes", rows)
     if fleet:
         return of_cars(rows) | {"outcomes": rows}

@@ -22,9 +22,8 @@ from typing import Any
 
 import casadi
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
+from benchmarks.tables import show_figures
 from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
 from steerkit.controllers.mpc.programme import DATA, in_place
 from steerkit.paths.courses import course
@@ -40,7 +39,6 @@ SAMPLES, TURN, KICK, KICK_EVERY = 500, 50, 0.8, 50
 CAR = NonlinearSingleTrack(vehicle=vehicle("vw-passat"), v0=5.0)
 MOTOR = SteeringActuator(delay=0.2, lag=0.1)
 STEERING = {"delay": MOTOR.delay + 0.5 * MOTOR.dt, "lag": MOTOR.lag}
-NEEDED = {"ltv20_ms": 0.3, "ltv20_p99_ms": 1.0, "ltv40_ms": 0.6, "nmpc20_ms": 0.6, "nmpc40_ms": 1.0}
 
 Case = tuple[tuple[float, ...], Any]
 """A block state and its inputs."""
@@ -100,8 +98,9 @@ def raw_qp(block: PredictiveSteering) -> Callable[[], None]:
     return in_place(function, block.programme.found | {"raw": np.zeros(function.nnz_out(0))})
 
 
-def measured(samples: int) -> dict[str, Any]:
-    """All figures."""
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Measure and print every figure."""
+    samples = TURN if options.quick else SAMPLES
     rows = recorded(samples)
     blocks: dict[str, PredictiveSteering] = {
         f"{name}{n}": kind.of(CAR, **STEERING, horizon=n)
@@ -113,7 +112,7 @@ def measured(samples: int) -> dict[str, Any]:
     raw = {name: raw_qp(blocks[name]) for name in ("ltv20", "nmpc20")}
     raw_times: dict[str, list[float]] = {name: [] for name in raw}
     unsolved = dict.fromkeys(blocks, 0)
-    for first in track(range(0, samples, TURN), "solvers", console=Console(stderr=True)):
+    for first in range(0, samples, TURN):
         for name, block in blocks.items():
             turn = runs[name][first : first + TURN]
             passes = [[timed(block.output, 0.0, x, u) for x, u in turn] for _ in range(PASSES)]
@@ -130,13 +129,5 @@ def measured(samples: int) -> dict[str, Any]:
     for name, values in raw_times.items():
         figures[f"{name}_raw_qp_ms"] = statistics.median(values)
         figures[f"{name}_x_raw_qp"] = statistics.median([ours / theirs for ours, theirs in zip(times[name], values)])
-    return figures
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Measure and print every figure beside what was asked for."""
-    figures = measured(TURN if options.quick else SAMPLES)
-    for name, value in figures.items():
-        goal = f"   needed < {NEEDED[name]:g}" if name in NEEDED else ""
-        print(f"{name:28s} {value:10.4g}{goal}")
+    show_figures(figures)
     return figures

@@ -12,9 +12,9 @@ import argparse
 import os
 import platform
 import statistics
-import time
 import tracemalloc
 from collections.abc import Callable, Mapping
+from timeit import repeat, timeit
 from typing import Any
 
 import numpy as np
@@ -69,19 +69,12 @@ def drives(n: int, seed: int = 0) -> Transitions:
     return record
 
 
-def seconds(work: Callable[[], Any]) -> float:
-    """Wall-clock time of one call [s]."""
-    began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
-
-
 def in_turns(works: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
     """Median time of each [s]; they take turns, so that a slow spell of the machine meets them all."""
     times: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(repeats):
         for name, work in works.items():
-            times[name].append(seconds(work))
+            times[name].append(timeit(work, number=1))
     return {name: statistics.median(values) for name, values in times.items()}
 
 
@@ -106,7 +99,7 @@ def decision(batch: int = 0, count: int = 2000) -> float:
     values = rng.uniform(-0.3, 0.3, (6, batch)) if batch else rng.uniform(-0.3, 0.3, 6).tolist()
     u = policy.D(*values)
     policy.output(0.0, x, u)
-    best = min(seconds(lambda: [policy.output(0.0, x, u) for _ in range(count)]) for _ in range(5))
+    best = min(repeat(lambda: policy.output(0.0, x, u), number=count, repeat=5))
     return best / count / max(1, batch) * 1e6
 
 
@@ -122,10 +115,11 @@ def memory(work: Callable[[], Any], record: Transitions) -> float:
     return (data + peak) / data
 
 
-def figures(quick: bool) -> dict[str, Any]:
-    """All figures, as one flat dictionary."""
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Measure and print; all figures, as one flat dictionary."""
     import torch
 
+    quick = options.quick
     torch.set_num_threads(1)
     rprop.engine_of("auto")  # compile first
     n, sizes, repeats = (500, (250, 500), 1) if quick else (20_000, (2_000, 20_000, 200_000, 1_000_000), 7)
@@ -164,12 +158,7 @@ def figures(quick: bool) -> dict[str, Any]:
     numbers |= {"decision_numpy_us": decision(count=50 if quick else 2000)}
     numbers |= {"decision_numpy_us_per_car_of_1000": decision(1000, 2 if quick else 50)}
     versions = {"torch": torch.__version__, "numpy": np.__version__, "python": platform.python_version()}
-    return numbers | {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
-
-
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Measure and print."""
-    numbers = figures(options.quick)
+    numbers |= {"versions": versions, "machine": platform.machine(), "cores": os.cpu_count()}
     print("one NFQ iteration on one thread: targets, then 300 epochs of full-batch Rprop of a 7-10-10-1 net, 5 actions")
     show_figures(numbers)
     return numbers

@@ -51,7 +51,7 @@ from steerkit.controllers.policy import Policy
 from steerkit.diagram import realtime
 from steerkit.diagram.units import degrees_of
 from steerkit.learning.settings import setting
-from steerkit.learning.trainer import Job, Result, SimulatedTrainer
+from steerkit.learning.trainer import SimulatedTrainer
 from steerkit.paths.courses import straight
 from steerkit.paths.path import Path as Course
 from steerkit.scenario.catalogue import AUTO, make_recovery
@@ -157,21 +157,19 @@ def drive_of(world: ProductionWorld, controller: str) -> Drive:
     return Drive(world, follow.resting, each)
 
 
-def _between(speeds: tuple[float, float] | None) -> dict[str, Any]:
-    """What a simulated car is given of the speeds [m/s] that it is to drive at; its file's without."""
-    return {} if speeds is None else {"v_min": speeds[0], "v_max": speeds[1]}
+Speeds = dict[str, Any]
+"""v_min and v_max [m/s] of a drive; empty: those of the car's file."""
 
 
-def driven(piece: tuple[str, str, float, int, tuple[float, float] | None]) -> dict[str, Any]:
-    """One drive: port, controller, seconds, seed, speeds [m/s]."""
+def driven(piece: tuple[str, str, float, int, Speeds]) -> dict[str, Any]:
+    """One drive: port, controller, seconds, seed, speeds."""
     name, controller, seconds, seed, speeds = piece
-    world = ProductionWorld(config_of(name), seed=seed, **_between(speeds))
+    world = ProductionWorld(config_of(name), seed=seed, **speeds)
     drive = drive_of(world, controller)
     while len(drive.e) < round(seconds / DT) and not drive.ended and world.t < seconds + WAITS_FOR_STRAIGHT:
         drive.step()
-    e, counts = np.array(drive.e or [math.nan]), world.car.car.counts
+    e, port, counts = np.array(drive.e or [math.nan]), world.car, world.car.car.counts
     held = bool(np.nanmax(np.abs(e)) < TRIP) and len(e) >= round(seconds / DT) and not drive.ended
-    port = world.car
     return {
         "port": name,
         "controller": controller,
@@ -181,7 +179,7 @@ def driven(piece: tuple[str, str, float, int, tuple[float, float] | None]) -> di
         "wheel": drive.wheel_rate_deg(),
         "last_rms_e": drive.rms_e(JUDGED),
         "last_wheel": drive.wheel_rate_deg(JUDGED),
-        "v": float(world.car.now.v),
+        "v": float(port.now.v),
         "frames": counts.received + counts.sent,
         "sent": counts.sent,
         "rejected": counts.rejected,
@@ -280,31 +278,20 @@ def _hostile(name: str, frames: int, rng: np.random.Generator) -> dict[str, Any]
 
 
 class Beside(SimulatedTrainer):
-    """A trainer whose time is the world's; an update takes a second of driving."""
+    """A trainer without a process that fails or has to be ended; an update takes a second of driving."""
 
-    def __init__(self, world: ProductionWorld):
-        super().__init__(seconds=1.0)
-        self.world, self.faults = world, ()
-
-    def submit(self, job: Job, t: float) -> None:
-        super().submit(job, self.world.t)
-
-    def poll(self, t: float) -> Result | None:
-        return super().poll(self.world.t)
-
-    def idle(self, t: float) -> bool:
-        return super().idle(self.world.t)
+    faults: tuple[str, ...] = ()
 
     def close(self) -> None:
         """Nothing to end."""
 
 
-def learned(piece: tuple[str, int, float, tuple[float, float] | None]) -> dict[str, Any]:
-    """One learning run: port, seed, seconds, speeds [m/s]."""
+def learned(piece: tuple[str, int, float, Speeds]) -> dict[str, Any]:
+    """One learning run: port, seed, seconds, speeds."""
     name, seed, seconds, speeds = piece
-    world: Any = ProductionWorld(config_of(name), seed=seed, **_between(speeds))
+    world: Any = ProductionWorld(config_of(name), seed=seed, **speeds)
     how = replace(setting("default"), safe=True)
-    given: dict[str, Any] = {"seed": seed, "clock": None, "trainer": Beside(world)}
+    given: dict[str, Any] = {"seed": seed, "clock": None, "trainer": Beside()}
     with (
         tempfile.TemporaryDirectory() as folder,
         CarLearner(how, Path(folder) / "run", world.config, world, **given) as learner,
@@ -367,14 +354,12 @@ class Turncoat(Policy):
         return self.Y(action, float(t >= self.begins))
 
 
-def attacked(
-    piece: tuple[str, str, float, tuple[float, float] | None], *, waits: float = WAITS, steers: float = STEERS
-) -> dict[str, Any]:
-    """One attack: port, kind, factor on the steering ratio, speeds [m/s]."""
+def attacked(piece: tuple[str, str, float, Speeds], *, waits: float = WAITS, steers: float = STEERS) -> dict[str, Any]:
+    """One attack: port, kind, factor on the steering ratio, speeds."""
     name, kind, ratio, speeds = piece
     config = config_of(name)
     car = replace(config.vehicle, steer_ratio=ratio * config.vehicle.steer_ratio)
-    world: Any = ProductionWorld(config, seed=1, vehicle=car, **_between(speeds))
+    world: Any = ProductionWorld(config, seed=1, vehicle=car, **speeds)
     policy = Turncoat(kind=kind)
     loop = loops.car_loop(config, world, policy, safe=True, clock=None)
     follow = Follow.of(loop, world)
@@ -436,9 +421,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="what to measure (all)")
     parser.add_argument("--ports", nargs="+", default=None, help="by opendbc's names (31; 5 of learning and attacks)")
     parser.add_argument("--minutes", type=float, default=10.0, help="of driving with each port (10)")
-    parser.add_argument(
-        "--speeds", nargs=2, type=float, default=None, help="lowest and highest, of drives and learners [m/s]"
-    )
+    parser.add_argument("--speeds", nargs=2, type=float, default=None, help="lowest and highest of the drives [m/s]")
     parser.add_argument("--frames", type=int, default=100_000, help="to alter (100,000)")
     parser.add_argument("--seeds", type=int, default=3, help="learners of each of five ports (3)")
     parser.add_argument("--learn-minutes", type=float, default=4.0, help="of each learner (4)")
@@ -447,24 +430,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All parts, with their tables."""
-    ports = options.ports or (QUICK if options.quick else (*ANGLE, *TORQUE))
-    some = options.ports or (QUICK[:1] if options.quick else LEARNS)
-    seconds = 1.1 if options.quick else 60.0 * options.minutes / len(CONTROLLERS)
+    quick = options.quick
+    ports = options.ports or (QUICK if quick else (*ANGLE, *TORQUE))
+    some = options.ports or (QUICK[:1] if quick else LEARNS)
+    seconds = 1.1 if quick else 60.0 * options.minutes / len(CONTROLLERS)
+    learning = 1.1 if quick else 60.0 * options.learn_minutes
+    frames, seeds = (60, 1) if quick else (options.frames // len(ports) + 1, options.seeds)
+    speeds = dict(zip(("v_min", "v_max"), options.speeds or ()))
     jobs: dict[str, tuple[Callable[[Any], dict[str, Any]], list[Any]]] = {
-        "drives": (driven, [(n, c, seconds, i, options.speeds) for n in ports for i, c in enumerate(CONTROLLERS)]),
-        "altered": (altered, [(name, 60 if options.quick else options.frames // len(ports) + 1, 1) for name in ports]),
-        "learning": (
-            learned,
-            [
-                (name, seed, 1.1 if options.quick else 60.0 * options.learn_minutes, options.speeds)
-                for name in some
-                for seed in range(1 if options.quick else options.seeds)
-            ],
-        ),
-        "attacked": (attacked, [(n, kind, x, options.speeds) for n in some for kind in ATTACKS for x in RATIOS]),
+        "drives": (driven, [(n, c, seconds, i, speeds) for n in ports for i, c in enumerate(CONTROLLERS)]),
+        "altered": (altered, [(name, frames, 1) for name in ports]),
+        "learning": (learned, [(name, seed, learning, speeds) for name in some for seed in range(seeds)]),
+        "attacked": (attacked, [(n, kind, x, speeds) for n in some for kind in ATTACKS for x in RATIOS]),
         "faults": (faulty, [(name, what, 1) for name in some for what in (*FAULTS, *KILLED)]),
     }
-    if options.quick:
+    if quick:
         jobs["drives"] = (driven, jobs["drives"][1][:: len(CONTROLLERS)])
         jobs["altered"] = (altered, jobs["altered"][1][-1:])
         jobs["attacked"] = (partial(attacked, waits=0.6, steers=0.5), jobs["attacked"][1][:1])

@@ -26,7 +26,6 @@ learner is kept as it ends; the same command goes on after a stop, or with more 
 
 import argparse
 import ctypes
-import math
 import re
 import subprocess
 import tempfile
@@ -40,8 +39,8 @@ import numpy as np
 
 from benchmarks.foreign_cars import WIDE
 from benchmarks.run import kept, spread
-from benchmarks.run.fleet import of_fleet, of_kind
-from benchmarks.run.learners import Learned, Learner, values
+from benchmarks.run.learners import Learner, values
+from benchmarks.scenarios import of_fleet, of_kind
 from benchmarks.studies.car_realtime import drive
 from benchmarks.tables import as_line, say, show, show_figures
 from steerkit._support.native import compiler
@@ -169,7 +168,8 @@ def cost(seconds: float, level: str = "-O2", **settings: Any) -> dict[str, Any]:
         library, header = Path(folder) / "filter.so", (Path(folder) / "filter.h").read_text(encoding="utf-8")
         subprocess.run([*tool, level, "-shared", "-fPIC", f"{folder}/filter.c", "-lm", "-o", str(library)], check=True)
         names = re.findall(r"double (\w+);", header.split("typedef struct {")[2])
-        columns = [log[_signal(name, list(log))] for name in names]
+        signals = {name.replace(".", "_"): log[name] for name in log}
+        columns = [signals[name] for name in names]
         code, taken = ctypes.CDLL(str(library)), []
         state, outputs = ctypes.create_string_buffer(4096), ctypes.create_string_buffer(4096)
         code.filter_init(state)
@@ -180,11 +180,6 @@ def cost(seconds: float, level: str = "-O2", **settings: Any) -> dict[str, Any]:
             taken.append(time.perf_counter() - began)
     p99, median = np.percentile(taken, (99.0, 50.0))
     return {"filter_p99_ms": 1e3 * float(p99), "filter_median_ms": 1e3 * float(median)}
-
-
-def _signal(field: str, names: list[str]) -> str:
-    """The signal of a loop that a field of the C is named after."""
-    return next(name for name in names if name.replace(".", "_") == field)
 
 
 PARTS = ("adversaries", "beyond", "cost", "learners", "car")
@@ -202,31 +197,28 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--minutes", type=float, default=3.0, help="driving time of a run")
     spread.add_options(parser)
     parser.add_argument("--keep", default="", metavar="FILE", help="keeps runs; those in it are not made again")
-    parser.add_argument("--at-most", type=float, default=math.inf, metavar="MINUTES", help="then no run is begun")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Measure the parts asked for and print them."""
-    with spread.computing(spread.where(options)) as those:  # a cluster is asked before anything is measured
-        return _measured(options, those)
-
-
-def _measured(options: argparse.Namespace, those: spread.Workers) -> dict[str, Any]:
     quick, report = options.quick, dict[str, Any]()
-    if "adversaries" in options.parts:
-        report |= adversaries(2.0 if quick else 15.0, KINDS[:1] if quick else KINDS, SPEEDS[1:2] if quick else SPEEDS)
-        show("adversaries: largest |e| [m]", [{"kind": kind} | row for kind, row in report["adversaries"].items()])
-    if "beyond" in options.parts:
-        doubts = (2.0,) if quick else (0.6, 1.0, 2.0, 3.0)
-        kinds, speeds = (KINDS[:1], (5.0,)) if quick else (HOSTILE, (3.0, 7.0, 15.0))
-        report |= beyond(2.0 if quick else 15.0, kinds, speeds, doubts, options.first_seed)
-        show("cars beyond the doubts: largest |e| [m]", report["beyond"])
-    if "cost" in options.parts:
-        report |= cost(1.0, "-O0", horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
-    if "learners" in options.parts:
-        report |= learners(options, those)
-    if "car" in options.parts:
-        report |= on_the_car(1 if quick else options.drives, 0.03 if quick else options.minutes, options.first_seed)
+    seconds = 2.0 if quick else 15.0
+    with spread.computing(spread.where(options)) as those:  # a cluster is asked before anything is measured
+        if "adversaries" in options.parts:
+            kinds, speeds = (KINDS[:1], SPEEDS[1:2]) if quick else (KINDS, SPEEDS)
+            report |= adversaries(seconds, kinds, speeds)
+            show("adversaries: largest |e| [m]", [{"kind": kind} | row for kind, row in report["adversaries"].items()])
+        if "beyond" in options.parts:
+            doubts = (2.0,) if quick else (0.6, 1.0, 2.0, 3.0)
+            hostile, at = (KINDS[:1], (5.0,)) if quick else (HOSTILE, (3.0, 7.0, 15.0))
+            report |= beyond(seconds, hostile, at, doubts, options.first_seed)
+            show("cars beyond the doubts: largest |e| [m]", report["beyond"])
+        if "cost" in options.parts:
+            report |= cost(1.0, "-O0", horizon=0.35, hold=1, halvings=1) if quick else cost(100.0)
+        if "learners" in options.parts:
+            report |= learners(options, those)
+        if "car" in options.parts:
+            report |= on_the_car(1 if quick else options.drives, 0.03 if quick else options.minutes, options.first_seed)
     show_figures(report)
     return report
 
@@ -266,41 +258,28 @@ def learners(options: argparse.Namespace, those: spread.Workers) -> dict[str, An
         for safe in ((True, False) if seed - options.first_seed < options.compare else (True,))
         for car in cars
     ]
-    keep, until = Path(options.keep) if options.keep else None, time.monotonic() + 60.0 * options.at_most
-    made = list(kept.done(one_run, jobs, those, keep, until).values())
-    if made:
-        show("learners", made)
-    if len(made) < len(jobs):
-        print(f"{len(jobs) - len(made)} of {len(jobs)} runs are left; the same command with --keep goes on")
+    made = kept.done(one_run, jobs, those, options.keep)
+    show("learners", made)
     return summarise(made) | {"outcomes": made}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Safe(Learned):
-    """What a learner's run came to; a good net is looked for only with the filter, and test drives are without it."""
+def one_run(experiment: Experiment) -> dict[str, Any]:
+    """Let one car learn, with the filter or without; a good net is looked for only with it, test drives are without.
 
-    car: str
-    safe: bool
-    """With the filter?"""
-    max_e: float
-    """Largest |e| after the first second [m]."""
-    interventions_pct: float
-    """Samples of the last minute in which the learner's command was mixed with the backup's."""
-
-
-def one_run(experiment: Experiment) -> Safe:
-    """Let one car learn, with the filter or without."""
+    max_e: largest |e| after the first second [m]. interventions_pct: samples of the last minute in which the learner's
+    command was mixed with the backup's.
+    """
     learner, safe = Learner(experiment), experiment.setting.safe
     log = learner.trained.run.recorder.log()
     last = (log.t >= log.t[-1] - 60.0) & (log["supervisor.learning"] > 0.5)
     share = log["safety.share"] if safe else np.zeros(len(log.t))
-    return Safe(
+    return {
         **learner.figures(look_for_good=safe),
-        car=experiment.scenario.name,
-        safe=safe,
-        max_e=largest(log["path.e"][log.t > 1.0]),
-        interventions_pct=100.0 * float(np.mean(share[last] > 0.0)) if last.any() else 100.0,
-    )
+        "car": experiment.scenario.name,
+        "safe": safe,
+        "max_e": largest(log["path.e"][log.t > 1.0]),
+        "interventions_pct": 100.0 * float(np.mean(share[last] > 0.0)) if last.any() else 100.0,
+    }
 
 
 def summarise(learners: Sequence[kept.Row]) -> dict[str, Any]:

@@ -14,15 +14,16 @@ each wire. The table and `against` have them also to python-control with one fun
 import argparse
 import os
 import statistics
-import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
+from timeit import timeit
 from typing import Any
 
 import numpy as np
 
 from benchmarks.peers import python_control
+from benchmarks.tables import show, show_figures
 from steerkit.compiled import Backend, compile
 from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.loop import Loop
@@ -40,7 +41,6 @@ SPEED, CARS = 6.0, 1000
 CAR = vehicle("vw-passat")
 DIAGRAM, ONE = (f"python-control, {how}" for how in ("same diagram", "one function"))
 MANY = f"C, {CARS} cars"
-NEEDED = {"interpreted_x": 5, "compiled_c_x": 250, "batch_x": 3000, "batch_car_steps_per_second_x_one_function": 3000}
 
 
 def closed_loop() -> Loop:
@@ -57,36 +57,29 @@ def closed_loop() -> Loop:
     )
 
 
-@dataclass
-class Contestant:
-    """A way to run; `run()` does `steps` car-steps."""
-
-    name: str
-    steps: int
-    run: Callable[[], Any]
+Way = tuple[int, Callable[[], Any]]
+"""So many car-steps, and what does them."""
 
 
-def contestants(loop: Loop, quick: bool) -> list[Contestant]:
-    """All ways, warmed up."""
+def contestants(loop: Loop, quick: bool) -> dict[str, Way]:
+    """All ways by their names, warmed up."""
     start, many = loop.init(), loop.init(batch=CARS)
     scale = 1 if quick else 4
-    ways = []
+    ways: dict[str, Way] = {}
     for name, make in ((DIAGRAM, python_control.diagram), (ONE, python_control.one_function)):
         made, n = make(loop, start), 100 * scale
-        ways.append(Contestant(name, n, lambda made=made, n=n: python_control.run(made, n)))  # type: ignore[misc]
+        ways[name] = n, partial(python_control.run, made, n)
     n = 500 * scale
-    ways.append(Contestant("simulate", n, lambda: simulate(loop, n * DT, state=start, record=["path.e"])))
+    ways["simulate"] = n, lambda: simulate(loop, n * DT, state=start, record=["path.e"])
     for name, backend, size in (("generated Python", BACKENDS[0], 2000), ("C", BACKENDS[1], 40000)):
         ready = compile(loop, record=["path.e"], backend=backend)
-        ways.append(Contestant(name, size * scale, lambda c=ready, s=size: c.run(s * scale * DT, state=start)))  # type: ignore[misc]
-    ways.append(
-        Contestant(f"NumPy, {CARS} cars", 20 * CARS, lambda: simulate(loop, 20 * DT, state=many, record=["path.e"]))
-    )
+        ways[name] = size * scale, partial(ready.run, size * scale * DT, state=start)
+    ways[f"NumPy, {CARS} cars"] = 20 * CARS, lambda: simulate(loop, 20 * DT, state=many, record=["path.e"])
     ready = compile(loop, backend="c", record=["path.e"], every=20)
     size = 250 * scale
-    ways.append(Contestant(MANY, size * CARS, lambda: ready.run(size * DT, state=many)))
-    for way in ways:
-        way.run()
+    ways[MANY] = size * CARS, partial(ready.run, size * DT, state=many)
+    for _, run in ways.values():
+        run()
     return ways
 
 
@@ -102,14 +95,12 @@ def require_equal_runs(loop: Loop) -> float:
     return worst
 
 
-def measured(ways: list[Contestant], turns: int) -> dict[str, list[float]]:
+def measured(ways: dict[str, Way], turns: int) -> dict[str, list[float]]:
     """Steps a second of each way in each turn."""
-    rates: dict[str, list[float]] = {way.name: [] for way in ways}
+    rates: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(turns):
-        for way in ways:
-            begin = time.perf_counter()
-            way.run()
-            rates[way.name].append(way.steps / (time.perf_counter() - begin))
+        for name, (steps, run) in ways.items():
+            rates[name].append(steps / timeit(run, number=1))
     return rates
 
 
@@ -126,22 +117,22 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     rates = measured(contestants(loop, options.quick), 1 if options.quick else 15)
     against = {base: ratios_to(rates, base) for base in (DIAGRAM, ONE)}
     ratios = against[DIAGRAM]
-    print(f"\n20 Hz control steps a second, {os.cpu_count()} cores; all ways agree to {agreement:.0e} m\n")
-    print(f"{'':49}ratio to python-control as\n{'way':34}{'car-steps/s':>14}{'diagram':>10}{'one':>10}")
-    for name, values in rates.items():
-        columns = "".join(f"{against[base][name]:10,.1f}" for base in against)
-        print(f"{name:34}{statistics.median(values):14,.0f}{columns}")
+    medians = {name: statistics.median(values) for name, values in rates.items()}
+    rows = [{"way": name, "car-steps/s": f"{value:,.0f}"} for name, value in medians.items()]
+    over = [{f"x {base}": f"{ratio[name]:,.1f}" for base, ratio in against.items()} for name in rates]
+    title = f"20 Hz control steps a second, {os.cpu_count()} cores; all ways agree to {agreement:.0e} m"
+    show(title, [row | ratio for row, ratio in zip(rows, over)])
     result: dict[str, Any] = {
         "interpreted_x": max(ratios["simulate"], ratios["generated Python"]),
         "simulate_x": ratios["simulate"],
         "compiled_c_x": ratios["C"],
         "batch_x": ratios[MANY],
-        "batch_car_steps_per_second": statistics.median(rates[MANY]),
+        "batch_car_steps_per_second": medians[MANY],
         "batch_car_steps_per_second_x_one_function": against[ONE][MANY],
-        "steps_per_second": {name: statistics.median(values) for name, values in rates.items()},
+        "steps_per_second": medians,
         "base": DIAGRAM,
         "against": against,
         "largest_difference_m": agreement,
     }
-    print("\n" + "\n".join(f"{n}: {result[n]:,.1f}, wanted {least}" for n, least in NEEDED.items()))
+    show_figures(result)
     return result

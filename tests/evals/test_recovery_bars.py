@@ -48,6 +48,6 @@ def test_where_the_gain_grows_with_what_is_asked_no_bend_leaves_half_a_metre() -
     """A car steered by torque that no one here wrote, at 16 m/s, told nothing of its dead time: of 240 drives the worst
     but one with a ratio alone, 0.65 m."""
     drive = one_drive(Job("torque", 16.0, "none", "auto", seed=11, seconds=40.0, conditions="clean"))
-    assert drive.stays
-    assert drive.max_e < 0.45
-    assert drive.swing == 0.0
+    assert drive["stays"]
+    assert drive["max_e"] < 0.45
+    assert drive["swing"] == 0.0

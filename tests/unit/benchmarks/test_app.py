@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import sys
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from benchmarks.app import app, main
 from benchmarks.run import golden
 from benchmarks.run.results import Case, Results
 from benchmarks.suites import SUITES
-from tests.support.places import ROOT
 from tests.support.tiny_suite import TINY
 
 
@@ -98,21 +96,9 @@ def test_without_the_extra_it_says_what_to_install(words, missing, said, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_extra_is_what_the_commands_look_for() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extra = {line.split(">")[0] for line in project["optional-dependencies"]["bench"]}
-    assert extra == set(benchmarks_app.EXTRA)
-
-
-def test_golden_numbers_are_looked_for_in_the_checkout_one_stands_in(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(golden, "__file__", str(tmp_path / "site" / "benchmarks" / "run" / "golden.py"))
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(ValueError, match=r"kept in a checkout, as tests/golden/benchmarks\.json; here is none"):
-        golden.file()
-    (tmp_path / "tests" / "golden").mkdir(parents=True)
-    assert golden.file() == tmp_path / "tests" / "golden" / "benchmarks.json"
-    with pytest.raises(ValueError, match=r"benchmarks\.json is missing; `python -m benchmarks golden --update`"):
-        golden.kept(golden.file())
+def test_golden_numbers_that_are_not_there_are_told(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"x\.json is missing, .*; `python -m benchmarks golden --update` makes it"):
+        golden.kept(tmp_path / "x.json")
 
 
 @pytest.mark.parametrize(("factor", "words", "code"), [(1.0, [], 0), (2.0, [], 1), (2.0, ["--update"], 0)])
@@ -120,7 +106,7 @@ def test_golden_numbers_that_moved_end_with_1_unless_they_are_renewed(
     factor: float, words: list[str], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golden.update({"a": {"rms_e": 1.0}}, tmp_path / "golden.json")
-    monkeypatch.setattr(golden, "file", lambda: tmp_path / "golden.json")
+    monkeypatch.setattr(golden, "FILE", tmp_path / "golden.json")
     monkeypatch.setattr(golden, "measured", lambda: None)
     monkeypatch.setattr(golden, "numbers", lambda results: {"a": {"rms_e": factor}})
     ended = CliRunner().invoke(app, ["golden", "--json", *words])

@@ -5,7 +5,18 @@ from pathlib import Path
 import pytest
 
 from benchmarks.entries import controller
-from benchmarks.scenarios import MULTI_BODY, facts, open_parameters, scene, shape, suite_loop, unlike_the_data_sheet
+from benchmarks.scenarios import (
+    DELAYS,
+    KINDS,
+    MULTI_BODY,
+    facts,
+    of_kind,
+    open_parameters,
+    scene,
+    shape,
+    suite_loop,
+    unlike_the_data_sheet,
+)
 from tests.support.yard import yard
 
 STEP = scene(name="step", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0})
@@ -55,6 +66,17 @@ def test_cars_unlike_their_data_sheet_begin_where_their_scenario_says_and_tell_n
     loop = suite_loop(slow, controller("stanley").make(slow))  # type: ignore[misc]
     front = loop.sample(loop.init())["path.s"] % slow.path().length
     assert front == pytest.approx(slow.course.start + slow.nominal.l_f, abs=0.1)
+
+
+def test_every_kind_of_car_starts_where_it_is_straight_and_can_be_told_the_truth() -> None:
+    for kind in KINDS:
+        cars = of_kind(kind, course={"rounds": 0.5})
+        assert len({car.name for car in cars}) == len(cars)
+        for car in cars:
+            assert car.course.rounds == 0.5
+            assert abs(car.path().kappa(car.course.start)) < 0.01
+            assert car.with_(knowledge={"oracle": True}).design_model().gain == car.steering.gain
+    assert [car.steering.delay for car in of_kind("delays")] == list(DELAYS)
 
 
 def test_the_protocol_tells_one_file_from_another(tmp_path: Path) -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.entries import CONTROLLERS, controller
+from benchmarks.foreign_cars import CARS
 from benchmarks.peers import agents as peers
-from benchmarks.report.overall import ENOUGH
 from benchmarks.report.page import html
+from benchmarks.report.verdict import ENOUGH
 from benchmarks.run.runner import run
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import facts, scene
@@ -33,6 +34,9 @@ def test_suites_hang_together() -> None:
             job.training for job in planned if job.kind == "drive" and CONTROLLERS[job.controller].kind == "learned"
         }
         assert needed <= {job.id for job in planned if job.kind == "learn"}
+    foreign = suite("foreign").scenarios
+    assert len({scenario.name for scenario in foreign}) == len(foreign) == 2 * len(CARS)
+    assert {scenario.believed_dead_time for scenario in foreign} == {0.0}, "they tell nothing"
     both = jobs([suite("paper"), suite("tracking")])
     assert sum(job.kind == "learn" for job in both) == 60  # shared, not learned twice
     assert len(jobs([suite("tracking")], 1)) == 3 + 14 * 10

@@ -1,66 +1,149 @@
-"""The verdict: who won, by how much, and nothing from noise."""
+"""The verdict: who was better, by how much, in one sentence, a table and colours; and nothing from noise."""
 
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from benchmarks.report.overall import glances
-from benchmarks.report.verdict import NOTHING, verdict
+from benchmarks.report.page import html
+from benchmarks.report.verdict import JUDGED, NOTHING, glances, times, verdict
 from benchmarks.run.results import Case, Results
-from tests.support.report_results import changed
+from tests.support.report_results import PROVENANCE
+
+KINDS = {"net": "learned", "poor-net": "learned", "stanley": "analytic", "mpc": "analytic", "lqr": "analytic"}
 
 
-def drives(**columns: list[float]) -> Results:
-    """Drives of one scenario with these RMS e by controller, all held."""
-    others = {"rms_wheel_rate_deg": 1.0, "max_jerk": 1.0, "max_a_y": 1.0, "held": 1.0}
-    cases = tuple(
-        Case(suite="s", scenario="course", controller=name, seed=n, metrics=others | {"rms_e": float(value)})
-        for name, values in columns.items()
-        for n, value in enumerate(values)
-    )
-    kinds = {name: {"kind": "learned" if name == "nfq" else "analytic"} for name in columns}
-    return Results(Path("none"), {"controllers": kinds, "planned": [], "scenarios": {}}, cases)
-
-
-def test_the_verdict_says_who_won_and_by_how_much() -> None:
+def made(place: Path, seeds: int, lost: tuple[tuple[str, str, int], ...] = (), **sizes: float) -> Results:
+    """Drives of two scenarios: each controller's RMS e about its size, all else the same."""
     rng = np.random.default_rng(0)
-    better, worse = rng.normal(0.02, 0.001, 8), rng.normal(0.05, 0.001, 8)
-    for learned, analytic, word in ((better, worse, "better"), (worse, better, "worse")):
-        text = verdict(drives(nfq=learned.tolist(), stanley=analytic.tolist()))
-        ratio = np.exp(np.mean(np.log(learned / analytic)))
-        (row,) = [line for line in text.splitlines() if line.startswith("| stanley | 1 |")]
+
+    def told(name: str, scenario: str, seed: int, size: float) -> dict[str, float]:
+        own = {"rms_e": size * rng.uniform(0.97, 1.03), "held": float((name, scenario, seed) not in lost)}
+        return dict.fromkeys(JUDGED, 1.0) | own
+
+    cases = tuple(
+        Case(suite="s", scenario=scenario, controller=name, seed=seed, metrics=told(name, scenario, seed, size * scale))
+        for name, size in sizes.items()
+        for scenario, scale in (("easy", 0.01), ("hard", 0.05))
+        for seed in range(seeds)
+    )
+    kinds = {name.replace("_", "-"): {"kind": KINDS[name.replace("_", "-")]} for name in sizes}
+    return Results(place, PROVENANCE | {"controllers": kinds}, cases)
+
+
+def headline(results: Results) -> str:
+    return glances(results)[0].sentence
+
+
+def test_a_ratio_is_the_geometric_mean_and_certain_differences_are_told(tmp_path: Path) -> None:
+    results = made(tmp_path / "a", 8, net=1.0, stanley=2.0, mpc=0.5, lqr=1.0)
+    (glance,) = glances(results)
+    by_name = {name: next(m for m in row if m.metric == "rms_e") for name, row in glance.matches.items()}
+    values = {
+        name: np.array(
+            [[c.metrics["rms_e"] for c in results.cases if (c.controller, c.seed) == (name, n)] for n in range(8)]
+        )
+        for name in ("net", "stanley")
+    }
+    exact = float(np.exp(np.log(values["net"]).mean() - np.log(values["stanley"]).mean()))
+    assert by_name["stanley"].ratio.value == pytest.approx(exact, rel=1e-12)
+    assert by_name["stanley"].ratio.low < exact < by_name["stanley"].ratio.high < 0.55
+    assert {name: match.decided for name, match in by_name.items()} == {"stanley": -1, "mpc": 1, "lqr": 0}
+    assert by_name["stanley"].scenarios == 2
+    low, middle, high = by_name["mpc"].bar or (0.0, 0.0, 0.0)
+    assert 50.0 < low < middle < high <= 100.0
+    text = headline(results)
+    assert text.startswith(
+        "net kept to the course in all 16 drives. Its distance from the path was 50 % less than that of"
+    )
+    assert "2.0 times that of mpc, the best of the analytic controllers" in text
+    assert "nearer to the path than stanley; certainly further from the path than mpc; not certainly different" in text
+    assert text in verdict(results)
+
+
+def test_with_few_seeds_nothing_is_certain(tmp_path: Path) -> None:
+    for seeds, word in ((1, "1 seed;"), (5, "5 seeds;")):
+        results = made(tmp_path / str(seeds), seeds, net=1.0, stanley=4.0)
+        (glance,) = glances(results)
+        assert [m.decided for m in glance.matches["stanley"]] == [0] * len(JUDGED)
+        assert f"No difference is certain with {word} 6 are needed." in glance.sentence
+        assert "certainly nearer" not in glance.sentence
+        assert 'class="won"' not in html(results)
+
+
+def test_one_drive_is_told_as_one(tmp_path: Path) -> None:
+    results = made(tmp_path / "a", 1, net=1.0, stanley=2.0)
+    single = Results(results.place, results.provenance, tuple(c for c in results.cases if c.scenario == "easy"))
+    assert headline(single).startswith("net kept to the course in its one drive.")
+
+
+def test_a_scenario_that_one_of_them_lost_is_left_out_and_said(tmp_path: Path) -> None:
+    results = made(tmp_path / "a", 6, lost=(("net", "hard", 3),), net=1.0, stanley=2.0)
+    (glance,) = glances(results)
+    assert {match.scenarios for match in glance.matches["stanley"]} == {1}
+    assert glance.sentence.startswith("net kept to the course in 11 of 12 drives.")
+    never = tuple(("net", name, seed) for name in ("easy", "hard") for seed in range(6))
+    lost = made(tmp_path / "b", 6, lost=never, net=1.0, stanley=2.0)
+    assert headline(lost).endswith("There is no scenario that it and an analytic controller both held with every seed.")
+    assert '<table class="glance">' in html(results)
+    assert '<table class="glance">' not in html(lost)
+
+
+def test_the_best_learned_controller_is_the_headline_and_nobody_is_without_two_kinds(tmp_path: Path) -> None:
+    results = made(tmp_path / "a", 6, lost=(("net", "hard", 3),), net=0.5, stanley=1.0)
+    other = made(tmp_path / "b", 6, stanley=1.0)
+    assert glances(other) == []
+    assert NOTHING in html(other)
+    poor = tuple(
+        Case(suite="s", scenario=c.scenario, controller="poor-net", seed=c.seed, metrics={**c.metrics, "held": 1.0})
+        for c in results.cases
+        if c.controller == "stanley"
+    )
+    kinds = results.provenance["controllers"] | {"poor-net": {"kind": "learned"}}
+    both = Results(results.place, results.provenance | {"controllers": kinds}, (*results.cases, *poor))
+    assert [glance.learned for glance in glances(both)] == ["poor-net", "net"], "it held all of its drives"
+
+
+def test_the_page_shows_the_sentence_and_colours_what_is_certain(tmp_path: Path) -> None:
+    page = html(made(tmp_path / "a", 8, net=1.0, stanley=2.0, mpc=0.5, lqr=1.0))
+    section = page.split('<section id="verdict">')[1].split("</section>")[0]
+    assert section.index('class="headline"') < section.index('class="glance"')
+    assert (section.count('class="won"'), section.count('class="lost"')) == (1, 1)
+    assert section.count('class="even"') == 3 * len(JUDGED) - 2
+    assert all(words in section for words, _ in JUDGED.values())
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [
+        (0.84, "16 % less than"),
+        (1.0, "as large as"),
+        (1.03, "3 % more than"),
+        (1.86, "1.9 times"),
+        (12.3, "12.3 times"),
+    ],
+)
+def test_a_ratio_is_said_as_one_says_it(ratio: float, said: str) -> None:
+    assert times(ratio) == said
+
+
+def test_the_text_has_a_row_for_each_analytic_controller(tmp_path: Path) -> None:
+    for net, word in ((0.5, "better"), (2.0, "worse")):
+        results = made(tmp_path / word, 8, net=net, stanley=1.0)
+        (glance,), text = glances(results), verdict(results)
+        (row,) = [line for line in text.splitlines() if line.startswith("| stanley | 2 |")]
         over, _, e, *others = row.strip("| ").split(" | ")
-        assert over == "stanley"
-        assert e.startswith(f"{ratio:.2f} [")
+        assert (over, others) == ("stanley", ["1.00 [1.00, 1.00]"] * 3)
+        assert e.startswith(f"{glance.matches['stanley'][0].ratio.value:.2f} [")
         assert e.endswith(f"], {word}")
-        assert others == ["1.00 [1.00, 1.00]"] * 3
-        assert "are needed" not in text
+        assert "| net | 16 of 16 |" in text
+    assert "| stanley | 2 | 0.51 |" in verdict(made(tmp_path / "one", 1, net=0.5, stanley=1.0))
+    assert NOTHING in verdict(made(tmp_path / "none", 1, stanley=1.0))
 
 
-def test_the_verdict_claims_nothing_from_noise_or_from_drives_that_failed() -> None:
-    rng = np.random.default_rng(1)
-    even = drives(nfq=rng.normal(0.03, 0.01, 8).tolist(), stanley=rng.normal(0.03, 0.01, 8).tolist())
-    assert "better |" not in verdict(even)
-    assert "worse |" not in verdict(even)
-    lost = [changed(case, held=0.0) if case.controller == "nfq" else case for case in even.cases]
-    text = verdict(Results(even.place, even.provenance, tuple(lost)))
-    assert "There is no scenario that it and an analytic controller both held" in text
-    assert "| nfq | 0 of 8 | 0.00 [0.00, 0.32] |" in text
-    assert "| stanley | 8 of 8 |" in text
-    assert "No difference is certain with 3 seeds" in verdict(drives(nfq=[0.1, 0.2, 0.3], stanley=[0.2, 0.3, 0.4]))
-    assert "| stanley | 1 | 0.50 |" in verdict(drives(nfq=[0.1], stanley=[0.2]))
-    only = Results(even.place, even.provenance, tuple(c for c in even.cases if c.controller == "stanley"))
-    assert NOTHING in verdict(only)
-
-
-def test_an_analytic_drive_without_chance_meets_every_net() -> None:
-    (glance,) = glances(drives(nfq=[0.05, 0.06, 0.055, 0.052, 0.051, 0.058, 0.053], stanley=[0.01]))
+def test_an_analytic_drive_without_chance_meets_every_net(tmp_path: Path) -> None:
+    results = made(tmp_path, 7, net=5.0, stanley=1.0)
+    once = tuple(case for case in results.cases if case.controller == "net" or case.seed == 0)
+    (glance,) = glances(Results(results.place, results.provenance, once))
     (match,) = [match for match in glance.matches["stanley"] if match.metric == "rms_e"]
     assert (match.ratio.n, match.decided) == (7, 1)
-
-
-def test_the_best_analytic_controller_is_told() -> None:
-    rng = np.random.default_rng(3)
-    means = {"nfq": 0.03, "stanley": 0.05, "lqr": 0.01, "mpc": 0.02}
-    text = verdict(drives(**{name: rng.normal(mean, 0.0005, 8).tolist() for name, mean in means.items()}))
-    assert "that of lqr, the best of the analytic controllers" in text

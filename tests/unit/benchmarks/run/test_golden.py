@@ -9,12 +9,12 @@ from benchmarks.run.results import Case, Results
 
 
 def test_golden_numbers() -> None:
-    found = golden.difference(golden.numbers(golden.measured()), *golden.kept(golden.file()))
+    found = golden.difference(golden.numbers(golden.measured()), *golden.kept(golden.FILE))
     assert not found, [f"{c.case} {c.metric}: {c.before} -> {c.after}" for c in found[:10]]
 
 
 def test_golden_differences_are_seen() -> None:
-    old, tolerances = golden.kept(golden.file())
+    old, tolerances = golden.kept(golden.FILE)
     name = next(iter(old))
     new = {**old, name: {**old[name], "rms_e": old[name]["rms_e"] * (1.0 + 1e-5), "new": 1.0}}
     found = golden.difference(new, old, tolerances)

@@ -8,10 +8,25 @@ from typing import Any
 import pytest
 
 from benchmarks.foreign_cars import HOME, scene, told
-from benchmarks.run.learners import Learner, best_told, first_good, good, median, over, share, values, worst
+from benchmarks.run import learners
+from benchmarks.run.learners import (
+    Job,
+    Learner,
+    best_told,
+    eased,
+    first_good,
+    good,
+    median,
+    one_learner,
+    over,
+    share,
+    spread,
+    values,
+    worst,
+)
 from benchmarks.run.trials import TrialDrive, drive_each
 from steerkit.controllers.stanley import Stanley
-from steerkit.metrics import Criterion, of_log
+from steerkit.metrics import GOOD, Criterion, of_log
 from steerkit.scenario import Scenario
 from steerkit.scenario import drive as evaluate
 from tests.support.short_run import SHORT
@@ -63,3 +78,28 @@ def test_what_never_happened_counts_as_infinite() -> None:
     assert (median(rows, "good"), worst(rows, "good"), share(rows, "good")) == (30.0, math.inf, pytest.approx(2 / 3))
     assert good(rows[:2]) == {"good_share": 1.0, "good_median_s": 20.0, "good_worst_s": 30.0}
     assert share([{"held": True}, {"held": False}], "held") == 0.5
+
+
+def test_the_spread_is_the_factor_of_the_one_that_is_furthest_off() -> None:
+    assert spread([10.0, 11.0, 12.0]) == pytest.approx(1.1)
+    assert spread([10.0, 11.0, 15.4]) == pytest.approx(1.4)
+    assert spread([10.0, math.inf]) == math.inf
+    assert math.isnan(spread([]))
+
+
+def test_a_learner_that_had_no_time_to_learn_has_infinite_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    summary: Any = SimpleNamespace(rms_e=0.1, max_e=0.3, max_jerk=4.0, rms_wheel_rate_deg=20.0)
+    monkeypatch.setattr(learners, "best_told", lambda *_: ("lqr", summary))
+    made = one_learner(Job("torque", 8.0, 12.0, 0, 0.02, "hard", 2))
+    assert (made["good"], made["nets"], made["held"]) == (None, 0, False)
+    assert made["rms_x"] == made["rms_x_1"] == math.inf
+    assert math.isnan(made["final_rms_e"])
+    assert (made["best"], made["best_rms_e"], made["best_wheel_deg"], made["best_good"]) == ("lqr", 0.1, 20.0, False)
+
+
+def test_what_the_best_that_is_told_cannot_keep_to_is_asked_of_no_net() -> None:
+    figures: Any = SimpleNamespace(max_e=0.1, rms_e=0.02, max_jerk=2.0)
+    assert eased(figures) == GOOD
+    criterion = eased(SimpleNamespace(max_e=0.3, rms_e=0.08, max_jerk=5.2))  # type: ignore[arg-type]
+    assert (criterion.max_e, criterion.rms_e, criterion.max_jerk) == pytest.approx((0.33, GOOD.rms_e, 5.72))
+    assert eased(SimpleNamespace(max_e=math.nan, rms_e=math.inf, max_jerk=math.nan)) == GOOD  # type: ignore[arg-type]

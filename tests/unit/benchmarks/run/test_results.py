@@ -89,11 +89,6 @@ def test_other_files_and_other_sources_are_not_mixed_in(results: Results, tmp_pa
         Store(tmp_path / "c").open(plan)
 
 
-def test_a_case_says_what_its_status_may_be() -> None:
-    with pytest.raises(ValueError, match="valid: done, error, not installed"):
-        Case(suite="a", scenario="b", controller="c", seed=0, status="fine")
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
     [("source", "1" * 16), ("versions", {"python": "3.11.0", "numpy": "2.0.1"}), ("versions", {"python": "3.11.0"})],

@@ -23,11 +23,6 @@ def twice(piece: int) -> int:
     return 2 * piece
 
 
-def slow(piece: float) -> float:
-    time.sleep(piece)
-    return time.monotonic()
-
-
 @pytest.mark.parametrize("processes", [1, 2])
 def test_every_piece_once_with_its_number(processes: int) -> None:
     with computing(Where(processes=processes)) as those:
@@ -80,20 +75,13 @@ def test_workers_that_die_now_and_then_cost_nothing_as_long_as_pieces_finish(mon
     assert told == [f"a worker died; {n} of {len(pieces)} are begun again" for n in reversed(pieces[1:])]
 
 
-@pytest.mark.parametrize("processes", [1, 2])
-def test_after_its_time_nothing_is_handed_out(processes: int) -> None:
-    end = time.monotonic() + 0.5
-    assert len(dict(Workers(processes).done(slow, [0.2] * 40, until=end))) < 20
-    assert dict(Workers(processes).done(slow, [0.2], until=end)) == {}
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["--backend", "slurm"], "backend 'slurm' is not known; valid: loky, dask"),
         (["--backend", "dask"], "--backend dask needs --address"),
         (["--address", "tcp://127.0.0.1:1"], "--backend dask needs --address"),
-        (["--processes", "0"], "--jobs 0"),
+        (["--jobs", "0"], "--jobs 0"),
     ],
 )
 def test_what_does_not_go_together_is_refused(options: list[str], message: str) -> None:
@@ -102,7 +90,7 @@ def test_what_does_not_go_together_is_refused(options: list[str], message: str) 
     spread.add_options(parser)
     assert spread.where(parser.parse_args([])) == Where("loky", None, 2)
     assert spread.where(parser.parse_args(["--quick"])) == Where("loky", None, 1)
-    assert spread.where(parser.parse_args(["--quick", "--processes", "2"])) == Where("loky", None, 2)
+    assert spread.where(parser.parse_args(["--quick", "--jobs", "2"])) == Where("loky", None, 2)
     with pytest.raises(ValueError, match=message):
         spread.where(parser.parse_args(options))
 
@@ -141,13 +129,6 @@ def test_a_cluster_does_every_piece_once_a_thread_each(client: Any, monkeypatch:
     pieces = [0.01 * (n % 3) for n in range(12)]
     assert dict(Workers(client=client).done(watched, pieces)) == dict(enumerate(pieces))
     assert (Busy.begun, Busy.most) == (12, 2)
-
-
-def test_a_cluster_begins_nothing_after_its_time(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Busy, "begun", 0)
-    done = dict(Workers(client=client).done(watched, [0.3] * 20, until=time.monotonic() + 0.2))
-    assert done == {0: 0.3, 1: 0.3}
-    assert Busy.begun == 2
 
 
 def test_an_error_of_a_piece_ends_it(client: Any) -> None:

@@ -120,7 +120,7 @@ def sensible(name: str, f: Any) -> None:
             (run,), (change,) = f["learner_runs"], f["changes_rows"]
             assert (f["learners"], run["car"], run["nets"] > 0) == (1, "torque", True)
             assert (change["car"], change["change"], change["best"]) == ("passat", "tyres", "lqr")
-            assert (f["left"], f["codes"]) == (0, 1)
+            assert f["codes"] == 1
         case "from_logs":
             (log,) = f["logs"]
             assert (f["good"], f["refused"]) == (log["good"], 0)  # after one update it is good on some processors only

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.run.fleet import of_fleet
+from benchmarks.scenarios import of_fleet
 from benchmarks.studies import foreign, learning, safety, throughput
 from steerkit.learning.experiment import Experiment
 from steerkit.learning.settings import setting
@@ -15,17 +15,11 @@ from steerkit.task import DT
 NAN = math.nan
 
 
-def seed(**changes: Any) -> dict[str, Any]:
-    return {**dict.fromkeys(learning.Seed.__dataclass_fields__, 0.0), **changes}
-
-
 def test_a_seed_that_never_learned_counts_as_infinite() -> None:
-    seeds = [
-        seed(first_round_done=100.0, good=200.0),
-        seed(first_round_done=900.0, good=None),
-        seed(first_round_done=None, good=None),
-    ]
-    figures = learning.of_seeds(seeds)
+    final = dict.fromkeys(("final_rms_e", "final_max_e", "final_wheel_rate_deg"), 0.0)
+    other: dict[str, Any] = dict.fromkeys(("held", "failures", "last_nets_hold", "longest_training"), 0.0) | final
+    times = [(100.0, 200.0), (900.0, None), (None, None)]
+    figures = learning.of_seeds([{"first_round_done": done, "good": good, **other} for done, good in times])
     assert (figures["first_round_done_median"], figures["first_round_done_worst"]) == (900.0, math.inf)
     assert (figures["good_median"], figures["good_worst"]) == (math.inf, math.inf)
     assert (figures["round_share"], figures["good_share"]) == pytest.approx((2 / 3, 1 / 3))
@@ -52,10 +46,9 @@ def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(learning, "TOLD_DATA_SHEET", ("stanley",))
     (*_, car) = of_fleet(4, rounds=0.1)
     made = learning.one_car(Experiment(setting=setting("model-free"), scenario=car, minutes=0.05))
-    assert (made.name, made.best, made.best_on_data_sheet) == ("fleet-3", "stanley-delay", "stanley")
-    assert made.good is None
-    assert made.departure > 0.5  # it has failed, and nobody hides by how much
-    assert not made.held
+    assert (made["name"], made["best"], made["best_on_data_sheet"]) == ("fleet-3", "stanley-delay", "stanley")
+    assert made["departure"] > 0.5  # it has failed, and nobody hides by how much
+    assert (made["good"], made["held"]) == (None, False)
 
 
 @pytest.mark.filterwarnings("ignore:Unused output")
@@ -84,13 +77,12 @@ def test_a_limit_cycle_is_what_swings_regularly_by_more_than_a_decimetre() -> No
 
 def test_a_drive_that_ends_early_is_lost() -> None:
     t, e = swing(0.05)
-    assert foreign.judged(t, e, 40.0) == foreign.Recovery(
-        max_e=pytest.approx(0.05, rel=0.01), back=True, stays=True, swing=0.0, period=pytest.approx(NAN, nan_ok=True)
-    )
-    late = np.where(t > 30.0, 0.6, e)
-    assert (foreign.judged(t, late, 40.0).back, foreign.judged(t, late, 40.0).stays) == (True, False)
+    found = {"max_e": 0.05, "back": True, "stays": True, "swing": 0.0, "period": NAN}
+    assert foreign.judged(t, e, 40.0) == pytest.approx(found, rel=0.01, nan_ok=True)
+    late = foreign.judged(t, np.where(t > 30.0, 0.6, e), 40.0)
+    assert (late["back"], late["stays"]) == (True, False)
     ended = foreign.judged(t[:500], e[:500], 40.0)
-    assert (ended.max_e, ended.back, ended.stays) == (math.inf, False, False)
+    assert (ended["max_e"], ended["back"], ended["stays"]) == (math.inf, False, False)
 
 
 def test_what_a_learner_on_a_foreign_car_never_did_counts_as_worst() -> None:

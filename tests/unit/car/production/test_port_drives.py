@@ -22,7 +22,7 @@ from tests.support.production import judged
 @judged
 @pytest.mark.parametrize(("name", "controller"), [("NISSAN_LEAF", "lqr"), ("RIVIAN_R1", "auto")])
 def test_a_drive_through_gate_port_and_safety_code(name: str, controller: str) -> None:
-    row = study.driven((name, controller, 1.5, 4, None))
+    row = study.driven((name, controller, 1.5, 4, {}))
     assert row["held"], row
     assert row["max_e"] < 0.2
     assert row["rejected"] == row["not_in_order"] == 0
