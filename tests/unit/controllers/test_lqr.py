@@ -137,13 +137,6 @@ def test_preview_gains_are_the_best_use_of_a_known_bend() -> None:
     np.testing.assert_allclose(steps, best[:40], atol=2e-4 * np.abs(best).max())
 
 
-@pytest.mark.parametrize("v", [4.0, 8.0])
-def test_a_circle_is_held_without_an_offset(v: float) -> None:
-    log = driven(circle(30.0), v, 15.0, plant=NonlinearSingleTrack)
-    assert abs(log["path.e"][-1]) < 0.01
-    assert np.ptp(log["path.e"][-100:]) < 1e-3
-
-
 def test_its_gains_reach_as_fast_as_a_scenario_may_be() -> None:
     """A table that ends at 12 m/s leaves the path by metres at 30."""
     log = driven(circle(600.0), 30.0, 20.0, NonlinearSingleTrack, delay=0.0, e=0.2)

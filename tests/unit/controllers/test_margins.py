@@ -12,7 +12,6 @@ from steerkit.analysis import margins as margins_of
 from steerkit.controllers.delay import delayed_stanley
 from steerkit.controllers.lqr import Lqr, LqrDesign
 from steerkit.controllers.margins import Doubt, SteeredCar, damping, least_damping, linearised
-from steerkit.controllers.stanley import Stanley
 from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.vehicles import VW_PASSAT as PASSAT
 
@@ -69,16 +68,6 @@ def test_the_corners_of_a_doubt_are_both_gains_at_both_delays_and_none_acts_befo
     least = [damping(linearised(LQR, 10.0), car, 10.0, LQR.dt) for car in CAR.corners(Doubt())]
     assert least_damping(LQR, CAR, Doubt(), [10.0]) == min(least)
     assert least_damping(LQR, CAR, Doubt(gain=1.0, delay=0.0), [10.0]) > min(least)
-
-
-def test_a_law_without_prediction_swings_where_the_same_with_it_does_not() -> None:
-    sure = Doubt(gain=1.0, delay=0.0)
-    law = replace(Stanley.of(PASSAT), k=3.0, k_d_yaw=0.0, k_d_steer=0.0)
-    assert (
-        least_damping(law, CAR, sure, [10.0])
-        < 0.0
-        < least_damping(delayed_stanley(PASSAT, **STEERING), CAR, sure, [10.0])
-    )
 
 
 def test_what_has_no_model_is_named() -> None:

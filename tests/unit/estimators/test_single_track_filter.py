@@ -141,12 +141,3 @@ def test_while_the_delay_is_hardly_known_fast_turns_count_for_less() -> None:
     )
     assert unsure.deviation > 1.2 * sure.deviation
     assert unsure.low <= 1.2 <= unsure.high
-
-
-def test_a_bank_is_an_offset_for_as_long_as_it_lasts() -> None:
-    block = replace(BLOCK, disturbance_prior=radians_of(1.0), disturbance_time=5.0)
-    calm, banked = drive(90.0), drive(5.0, offset=radians_of(4.0))
-    x = driven_fast(block, calm)
-    y, z = (block.output(0.0, state, ()) for state in (x, driven_fast(block, banked, x)))
-    assert z.total_offset - y.total_offset == pytest.approx(radians_of(1.0), abs=radians_of(0.3))
-    assert z.disturbance - y.disturbance > 3.0 * (z.offset - y.offset)

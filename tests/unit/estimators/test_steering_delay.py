@@ -109,13 +109,6 @@ def test_commands_that_the_motor_cannot_follow_are_left_out(bound: str) -> None:
         assert unlimited.deviation > 1.5 * found.deviation
 
 
-def test_what_is_old_is_forgotten_within_the_memory() -> None:
-    block = WheelDelay(memory=20.0)
-    x = driven(block, answered(steered(60.0), delay=0.1, lag=0.2))
-    x = driven(block, answered(steered(100.0, seed=1), delay=0.25, lag=0.2), x)
-    assert said(block, x).value == pytest.approx(0.45, abs=0.01)
-
-
 def test_an_answer_that_the_commands_do_not_explain_is_not_valid() -> None:
     signals = answered(steered(40.0), delay=0.1, lag=0.2)
     found = said(WHEEL, driven(WHEEL, signals | {"delta_sw_meas": steered(40.0, seed=7)}))

@@ -69,18 +69,6 @@ def test_a_lag_that_is_given_wrong_is_not_taken_for_friction(longer: float) -> N
     assert found.value == pytest.approx(radians_of(0.7), rel=0.1)
 
 
-def test_another_delay_resets_what_was_summed_with_the_one_before() -> None:
-    signals = worn(30.0, friction_deg=0.3)
-    x = driven_fast(FRICTION, signals)
-    given = {name: values[-1:] for name, values in signals.items()}
-    slightly, much = (
-        said(FRICTION, driven_fast(FRICTION, given | {"delay": given["delay"] + more}, x)) for more in (0.002, 0.1)
-    )
-    assert slightly.value == pytest.approx(radians_of(0.3), rel=0.1)
-    assert much.value == pytest.approx(FRICTION.prior)
-    assert much.deviation > 0.9 * FRICTION.prior_deviation
-
-
 def test_a_width_that_is_known_by_a_fifth_only_is_not_valid() -> None:
     """Of a twist of 0.2 degrees that friction holds the interval is narrow, but not within a tenth of it."""
     found = said(FRICTION, driven_fast(FRICTION, worn(friction_deg=0.25)))
