@@ -22,6 +22,7 @@ from tests.support.straight_road import PASSAT, looped
 
 LINEAR, NONLINEAR = LinearSingleTrack(vehicle=PASSAT, v0=5.0), NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)
 KINDS = (MPC, NonlinearMPC)
+ZEROS = dict.fromkeys(("e", "psi_e", "beta", "r", "delta_sw_meas"), 0.0)
 
 
 @cache
@@ -31,8 +32,7 @@ def controller(kind: type[PredictiveSteering], car: Any, **settings: Any) -> Pre
 
 def asked(block: PredictiveSteering, *, kappa: float = 0.0, commands: Any = (), **values: float) -> Any:
     """The outputs for inputs that are 0 if not given, after these commands."""
-    zeros = dict.fromkeys(("e", "psi_e", "beta", "r", "delta_sw_meas"), 0.0) | {"v": 5.0}
-    u = block.D(**(zeros | values), preview=(kappa,) * block.preview_points)
+    u = block.D(**(ZEROS | {"v": 5.0} | values), preview=(kappa,) * block.preview_points)
     x = block.init()
     return block.output(0.0, (*commands, *x[len(commands) :]), u)
 
@@ -47,7 +47,7 @@ def test_without_an_active_limit_it_is_lqr(v: float, horizon: int) -> None:
     block = controller(MPC, LINEAR, horizon=horizon, delay=0.0)
     k = gain(block, v)
     for x in (np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.01, -0.004, 0.002, 0.01, 0.05, 0.04])):
-        values = dict(zip(("e", "psi_e", "beta", "r", "delta_sw_meas"), x.tolist()))
+        values = dict(zip(ZEROS, x.tolist()))
         y = asked(block, v=v, commands=(float(x[5]),), **values)
         assert y.status == 0.0
         assert y.plan[0] == pytest.approx(-k @ x, rel=1e-5, abs=1e-6)
@@ -74,12 +74,7 @@ def test_the_delay_is_answered_as_by_lqr_with_the_commands_on_their_way_as_state
     q[:5, :5] = block.qp.q.full()[:5, :5]
     k = np.asarray(control.dlqr(big, b, q, r)[0])[0]
     x = np.array([0.01, -0.004, 0.002, 0.01, 0.05, 0.06, 0.03, 0.02, 0.01])
-    y = asked(
-        block,
-        v=v,
-        commands=tuple(x[5:].tolist()),
-        **dict(zip(("e", "psi_e", "beta", "r", "delta_sw_meas"), x.tolist())),
-    )
+    y = asked(block, v=v, commands=tuple(x[5:].tolist()), **dict(zip(ZEROS, x.tolist())))
     # the newest command on its way is that of the sample before: the new one joins it within the sample
     assert y.plan[0] == pytest.approx(-k @ x, rel=3e-3)
 
@@ -134,15 +129,7 @@ def test_a_tight_bend_is_met_where_it_is(reference: float) -> None:
     """The preview's entries lie v*dt apart; the front axle gets along faster, v/cos(delta)."""
     block = controller(MPC, NONLINEAR, reference=reference, delay=0.2)
     v, kappa, first = 4.0, 0.16, 12
-    u = block.D(
-        e=0.0,
-        psi_e=0.0,
-        v=v,
-        beta=0.0,
-        r=0.0,
-        delta_sw_meas=0.0,
-        preview=tuple([0.0 if j < first else kappa for j in range(block.preview_points)]),
-    )
+    u = block.D(**ZEROS, v=v, preview=tuple([0.0 if j < first else kappa for j in range(block.preview_points)]))
     _, then = ahead(block, u)
     assert np.all(np.diff(then[4:25, 6]) >= 0.0)  # the stages
     assert (then[4:25, 6] < 1e-9).sum() == first - 4  # on the straight, both run at v

@@ -21,12 +21,6 @@ def reach(e: float, psi_e: float, kappa: float, v: float, doe: float, **settings
     return float(block.output(0.0, (), block.D(e, psi_e, kappa, v, doe)).reach)
 
 
-def test_straight_ahead_on_a_straight_path_it_stays_where_it_is() -> None:
-    for e in (-1.0, 0.0, 0.3):
-        assert reach(e, 0.0, 0.0, 5.0, 0.0) == pytest.approx(abs(e), abs=1e-12)
-    assert reach(0.0, 0.0, 0.0, 0.0, 5.0) == 0.0
-
-
 def test_a_steady_bend_is_left_no_further_than_the_wheel_is_turned() -> None:
     """At the front axle psi_e = -delta in the steady bend; kappa is that of the front axle's circle, sin(delta)/L."""
     delta = radians_of(200.0) / RATIO

@@ -251,19 +251,6 @@ def test_what_is_different_from_then_is_told(drive: Path) -> None:
     assert {"the course of that name is another one", "the vehicle of that name is another one"} < set(told)
 
 
-def test_a_recording_in_use_is_looked_into(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recordings, "SYNC", 1e6)  # the operating system has it before the disk
-    file = tmp_path / "t.mcap"
-    recorder = recordings.Recording(file, {"a": "b"})
-    recorder.event(Tick(1.0), [])
-    until(lambda: recordings.read(file).messages)
-    (gap,) = recordings.read(file).gaps
-    assert (gap.before, gap.missing) == (None, None)
-    assert not recordings.read(file).whole
-    recorder.close()
-    assert recordings.read(file).whole
-
-
 def test_an_event_and_what_came_of_it_reach_the_operating_system_together(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,14 +54,6 @@ def test_what_cannot_be_compiled_is_interpreted_with_the_same_numbers(monkeypatc
     assert all(np.array_equal(interpreted[name], compiled[name]) for name in ("r", "a_y", "delta_sw", "v"))
 
 
-def test_steering_s_delay_is_in_the_lag_of_a_request() -> None:
-    one = manoeuvre("openpilot-step-30")
-    early, late = (
-        evaluate(one, simulated(one, Scenario(steering={"delay": d})), PASSAT)["delay_50"].value for d in (0.0, 0.2)
-    )
-    assert late - early == pytest.approx(0.2, abs=0.011)
-
-
 def test_a_controller_that_loses_the_course_is_no_valid_run() -> None:
     one = manoeuvre("lane-change-1")
     lost = simulated(one, Scenario(vehicle={"plant": "nonlinear", "friction": 0.15}), controller="stanley")
