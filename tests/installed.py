@@ -1,8 +1,8 @@
 """Test what users get: python tests/installed.py dist [pytest's arguments].
 
 The sdist is unpacked in a temporary directory, its sources are taken away, the wheel is installed into a fresh virtual
-environment, and a suite, a newcomer's day and the sdist's tests run there. The other packages are those of the
-environment that this runs in: nothing is downloaded.
+environment, and a suite and the sdist's tests, the pages for users among them, run there. The other packages are those
+of the environment that this runs in: nothing is downloaded.
 """
 
 import os
@@ -81,9 +81,6 @@ def main() -> int:
         for listed in (["courses"], ["vehicles", "rav4"]):
             subprocess.run([place / "venv" / "bin" / "steerkit", *listed], cwd=tree, env=environment, check=True)
         run_suite(place / "venv" / "bin", place / "elsewhere", environment)
-        # the day itself is spent in place/day, which is no checkout: its files and commands are the tests'
-        day = [python, "-m", "tests.support.newcomers_day", str(place / "day")]
-        subprocess.run(day, cwd=tree, env=environment, check=True, timeout=600.0)
         return subprocess.run([python, "-m", "pytest", *arguments], cwd=tree, env=environment, check=False).returncode
 
 

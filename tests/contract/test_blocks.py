@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import functools
 import importlib
 import inspect
 import json
@@ -283,6 +284,7 @@ def regimes(block: Block) -> Iterator[tuple[int, Callable[[int], dict[str, Any]]
     yield len(gaps), lambda k: broken(sized(inputs(block, k), 0.3, 1.0), gaps[k]) if gaps[k] else inputs(block, k)
 
 
+@functools.cache
 def run(
     example: Example,
     shape: tuple[int, ...] = (),
@@ -331,16 +333,12 @@ def test_every_block_of_the_package_is_in_the_table() -> None:
 
 
 @kinds
-def test_it_is_a_frozen_keyword_only_dataclass_compared_by_identity(kind: type[Block]) -> None:
+def test_it_is_a_frozen_keyword_only_dataclass_compared_by_identity_and_abstract_or_final(kind: type[Block]) -> None:
     parameters = kind.__dataclass_params__  # type: ignore[attr-defined]
     assert "__dataclass_fields__" in vars(kind), "the dataclass decorator is missing"
     assert parameters.frozen
     assert not parameters.eq
     assert all(field.kw_only for field in dataclasses.fields(kind) if field.init)
-
-
-@kinds
-def test_it_is_abstract_or_final(kind: type[Block]) -> None:
     assert all(base.output is Block.output for base in kind.__mro__[1:] if issubclass(base, Block))
 
 
@@ -368,24 +366,15 @@ def test_the_docstring_names_every_port_and_unit(kind: type[Block]) -> None:
 
 
 @blocks
-def test_the_state_is_a_flat_tuple_of_scalars(example: Example) -> None:
+def test_states_are_flat_tuples_outputs_those_of_the_ports_and_one_car_is_python_floats(example: Example) -> None:
     block = example.block
     for shape in ((), (CARS,)):
         for state in (block.init(shape), start(example, shape), run(example, shape)[-1][3]):
             assert isinstance(state, tuple)
             assert all(np.shape(scalar) == shape for scalar in state)
             assert len(state) == len(block.init())
-
-
-@blocks
-def test_one_car_is_all_python_floats(example: Example) -> None:
     for x, _, y, after in run(example):
         assert {type(scalar) for scalar in (*x, *flat(y), *after)} <= {float}
-
-
-@blocks
-def test_outputs_are_the_named_tuple_of_the_ports(example: Example) -> None:
-    block = example.block
     y = run(example)[0][2]
     assert len(y) == len(block.outputs)
     for out, value in zip(block.outputs, y):

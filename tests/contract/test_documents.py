@@ -8,9 +8,6 @@ import importlib
 import importlib.util
 import re
 import runpy
-import shutil
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -20,11 +17,10 @@ import pytest
 
 from steerkit.cli.app import COMMANDS
 from tests.support import programs
-from tests.support.browser import BROWSER
 from tests.support.compilers import optimising
 from tests.support.house import modules
 from tests.support.places import ROOT
-from tests.support.shell_lines import BLOCK, DOORS, FITTED, PAGES, blocks, lines_of
+from tests.support.shell_lines import BLOCK, DOORS, FITTED, PAGES, blocks
 
 GALLERY = ROOT / "docs" / "gallery.md"
 
@@ -110,20 +106,6 @@ def test_python_blocks_can_be_pasted_at_the_prompt(page: Path) -> None:
             assert [ast.dump(s) for s in typed(text)] == [ast.dump(s) for s in ast.parse(text).body]
 
 
-def test_the_tutorial_needs_no_deep_imports() -> None:
-    """`from steerkit import ...` gives all that it uses; the functions of equations are `steerkit.diagram.maths`."""
-    text = "\n".join(text for language, text in blocks(ROOT / "docs" / "tutorial.md") if language == "python")
-    modules = {n.module for n in ast.walk(ast.parse(text)) if isinstance(n, ast.ImportFrom) and n.module}
-    assert {name for name in modules if name.startswith("steerkit")} == {"steerkit", "steerkit.diagram"}
-
-
-def test_the_readme_activates_the_environment_before_it_uses_it() -> None:
-    lines = lines_of(ROOT / "README.md")
-    used = [k for k, line in enumerate(lines) if line.split()[0] in ("steerkit", "python")]
-    assert used
-    assert lines.index(". .venv/bin/activate") < used[0]
-
-
 def test_every_extra_that_is_named_is_there_and_stands_under_install() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
@@ -202,33 +184,6 @@ def test_every_module_has_its_page_of_the_reference(
     monkeypatch.setattr(site, "GROUPS", {"Blocks and loops": site.GROUPS["Blocks and loops"]})
     site.modules()
     assert any("steerkit._support.errors is on no page of the reference" in message for message in caplog.messages)
-
-
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium or Chrome is installed, so the search was not tried in one")
-def test_the_search_finds_words_where_pages_are_opened_from_the_disk(tmp_path: Path) -> None:
-    """A site of one page, with the settings of ours."""
-    pytest.importorskip("mkdocs")
-    import yaml
-
-    settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
-    plugins = [plugin for plugin in settings["plugins"] if isinstance(plugin, str)]
-    settings |= {"plugins": plugins, "nav": [{"Home": "index.md"}], "hooks": []}
-    (tmp_path / "mkdocs.yml").write_text(yaml.safe_dump(settings), encoding="utf-8")
-    (tmp_path / "docs").mkdir()
-    for name in (*settings["extra_css"], *settings["extra_javascript"], *settings["extra"]["polyfills"]):
-        (tmp_path / "docs" / name).parent.mkdir(exist_ok=True)
-        shutil.copy(ROOT / "docs" / name, tmp_path / "docs" / name)
-    (tmp_path / "docs" / "index.md").write_text("# Animals\n\n## Striped\n\nA zebra.\n", encoding="utf-8")
-    build = [sys.executable, "-m", "mkdocs", "build", "--quiet"]
-    done = subprocess.run(build, cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert BROWSER is not None
-    options = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--virtual-time-budget=8000")
-    page = (tmp_path / "site" / "index.html").as_uri()
-    for word, found in (("zebra", "1 matching document"), ("lion", "No matching documents")):
-        command = [BROWSER, *options, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", f"{page}?q={word}"]
-        dom = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
-        assert re.findall(r'search-result__meta">([^<]*)', dom.replace("\n", "")) == [found], word
 
 
 @pytest.mark.usefixtures("without_layout")

@@ -59,23 +59,3 @@ SECOND_HOME = re.compile(
 def test_the_numbers_of_the_task_stand_once() -> None:
     found = [f"{n}: {m[0]}" for n, text in sources().items() if n != TASK for m in SECOND_HOME.finditer(text)]
     assert found == [], f"take these from {TASK}"
-
-
-@pytest.mark.parametrize(
-    ("line", "seen"),
-    [
-        ("trip: float = 0.5", True),
-        ("f(release=0.1)", True),
-        ("def f(*, dt: float = 0.05): ...", True),
-        ("def f(e, goal=0.05): ...", True),
-        ("limit = radians_of(-520)", True),
-        ("near = abs(e) < 0.1", True),
-        ("preview_dt: float = field(init=False, default=0.05)", True),
-        ("half = 0.5 * h", False),
-        ("trip: float = TRIP", False),
-        ("share: float = 0.05", False),
-        ("dt = 0.05 * rest", False),
-    ],
-)
-def test_a_second_home_is_seen_and_a_factor_is_none(line: str, seen: bool) -> None:
-    assert bool(SECOND_HOME.search(line)) is seen

@@ -1,16 +1,13 @@
-"""What is shipped: the wheel holds every file of the package, what says what it is agrees, and from the wheel alone, in
-an empty folder, each page for users leads to its last line."""
+"""What is shipped: the wheel holds every file of the package, what says what it is agrees, and each page for users
+leads, in an empty folder, to its last line."""
 
 import contextlib
-import json
-import re
 import subprocess
 import sys
 import tempfile
 import tomllib
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,7 +16,7 @@ from benchmarks.run.sources import source
 from tests.contract.test_commands import Shell, bin_folder, carried_out, learned, make
 from tests.support import programs
 from tests.support.compilers import optimising
-from tests.support.places import ROOT, SUPPORT
+from tests.support.places import ROOT
 from tests.support.shell_lines import DOORS, FITTED, blocks, lines_in, step, table
 
 __all__ = ["bin_folder", "learned"]  # fixtures
@@ -105,125 +102,45 @@ def test_the_hooks_are_the_tools_of_make_lint() -> None:
     assert entries == {line.strip().removeprefix("$(BIN)/") for line in lint.splitlines()[1:]}
 
 
-def test_the_demo_installs_no_tools_of_development() -> None:
-    """`make demo` on a fresh machine: the package and what it needs; the tools come with what uses them."""
-    rules = (ROOT / "Makefile").read_text(encoding="utf-8")
-    needs = dict(re.findall(r"^([a-z-]+|\$\([A-Z]+\)): (.*?)(?:  ##.*)?$", rules, re.MULTILINE))
-    installed = dict(re.findall(r"^(\$\([A-Z]+\)): .*\n(?:\t.*\n)*?\t.* -e (\S+)$", rules, re.MULTILINE))
-    assert needs["demo"] == "$(USE)"
-    assert installed["$(USE)"] == "."
-    assert installed["$(BENCH)"] == "'.[bench]'"
-    assert {needs[target] for target in ("test", "lint", "docs", "mutants", "setup")} == {"$(READY)"}
-    assert installed["$(READY)"] == "'.[dev]'"
-    assert needs["$(READY)"] == needs["$(BENCH)"] == "$(USE)"
-    assert needs["$(USE)"] == "pyproject.toml constraints.txt"
-
-
 # ---- the pages for users --------------------------------------------------------------------------------------------
 
 INSTALLING = 2
 """Commands from a wheel to an environment: make one, install."""
 MOST = 12
 """Commands that a page for users may take."""
-PROMPT = """
-import json, pathlib, runpy, sys
-names, programs = {"__name__": "__main__"}, runpy.run_path(sys.argv[1])
-for line in sys.stdin:
-    match json.loads(line):
-        case str(code):
-            exec(compile(code, "page", "exec"), names)
-        case words, folder, how:
-            done = programs["python"](*words, folder=pathlib.Path(folder), **how)
-            print(json.dumps([done.returncode, done.stdout, done.stderr]))
-    print("done", flush=True)
-"""
 
 
-class Prompt:
-    """A Python that is given the blocks of a page, one after the other, and programs to run in forks of it.
-
-    alone: one that starts from nothing, else a fork of this process.
-    """
-
-    def __init__(self, shell: Shell, *, alone: bool):
-        how = {"cwd": shell.folder, "env": shell.environment, "text": True}
-        self.errors = (shell.folder / "errors.txt").open("w+")
-        words = [sys.executable, "-c", PROMPT, str(SUPPORT / "programs.py")]
-        start: Any = subprocess.Popen if alone else programs.Forked
-        self.process = start(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.errors, **how)
-
-    def run(self, code: str) -> str:
-        """What is wrong; empty: nothing."""
-        return "" if self.printed(code) else self.fault(code)
-
-    def fork(self, *words: str, folder: Path, **how: Any) -> subprocess.CompletedProcess[str]:
-        """As `tests.support.programs.python` does it here."""
-        lines = self.printed([words, str(folder), how])
-        assert lines, self.fault(words)
-        return subprocess.CompletedProcess(words, *json.loads(lines[-2]))
-
-    def printed(self, task: Any) -> list[str]:
-        """The lines that it prints, "done" the last; none: it ended."""
-        assert self.process.stdin
-        assert self.process.stdout
-        self.process.stdin.write(json.dumps(task) + "\n")
-        self.process.stdin.flush()
-        lines = []
-        for line in self.process.stdout:
-            lines.append(line)
-            if line == "done\n":
-                return lines
-        return []
-
-    def fault(self, task: Any) -> str:
-        """What it said at its end."""
-        self.process.wait()
-        self.errors.seek(0)
-        return f"{task}\n{self.errors.read()}"
-
-    def close(self) -> None:
-        """End it."""
-        self.process.kill()
-        self.process.communicate()
-        self.errors.close()
-
-
-@sources
-@pytest.mark.parametrize("page", DOORS, ids=lambda page: page.stem)
-def test_a_page_for_users_leads_from_a_wheel_to_its_last_line(
-    page: Path, wheel: Path, bin_folder: Path, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
-    """Every Python block and shell line in its order, the long ones in the short forms of shell_lines.toml; the first
-    page with nothing but the wheel, the others with the checkout, as all programs start faster there."""
-    if alone := page == DOORS[0]:
-        zipfile.ZipFile(wheel).extractall(tmp_path)
-    steps, reasons = table()
-    faults, count = [], INSTALLING
-    with tempfile.TemporaryDirectory(prefix="steerkit-") as name, contextlib.ExitStack() as stack:
-        folder = Path(name)
-        shell = stack.enter_context(contextlib.closing(Shell(folder, bin_folder)))
-        if alone:
-            shell.environment["PYTHONPATH"] = str(tmp_path)
-            del shell.environment["CHECKOUT"]
-        if page.stem in FITTED:
-            shell.environment["CC"] = optimising()
-        prompt = stack.enter_context(contextlib.closing(Prompt(shell, alone=alone)))
-        if alone:
-            shell.fork = prompt.fork
-        place = str(tmp_path if alone else ROOT)
-        here = f"import steerkit; assert steerkit.__file__.startswith({place!r}), steerkit.__file__"
-        assert prompt.run(here) == ""
+def follow(*given: str) -> None:
+    """Every Python block and shell line of a page in its order, in one process; the long lines in their short forms."""
+    page, folder, bin_folder, learned = map(Path, given)
+    steps, _ = table()
+    names = {"__name__": "__main__"}
+    with contextlib.closing(Shell(folder, bin_folder)) as shell:
         for language, text in blocks(page):
             if language == "python":
-                count += 1
-                faults.append(prompt.run(text))
+                exec(compile(text, page, "exec"), names)
             for line in lines_in(text) if language == "sh" else ():
-                count += 1
-                assert line not in reasons
                 now = steps.get(line, step(line))
                 for file in now.needs:
                     if not (folder / file).exists():
-                        make(file, folder, request.getfixturevalue("learned"))
-                faults.append(carried_out(now, shell) if now.possible else "")
-    assert not any(faults), "\n\n".join(filter(None, faults))
-    assert count <= MOST
+                        make(file, folder, learned)
+                if now.possible and (fault := carried_out(now, shell)):
+                    sys.exit(fault)
+
+
+@pytest.mark.parametrize("page", DOORS, ids=lambda page: page.stem)
+def test_a_page_for_users_leads_to_its_last_line(
+    page: Path, bin_folder: Path, learned: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`make dist` runs this with what the wheel has installed."""
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    if page.stem in FITTED:
+        monkeypatch.setenv("CC", optimising())
+    lines = [line for language, text in blocks(page) if language == "sh" for line in lines_in(text)]
+    assert not table()[1].keys() & set(lines), "each of them can be run"
+    assert INSTALLING + len(lines) + sum(language == "python" for language, _ in blocks(page)) <= MOST
+    with tempfile.TemporaryDirectory(prefix="steerkit-") as name:
+        given = [str(page), name, str(bin_folder), str(learned)]
+        code = f"from tests.contract.test_package import follow; follow(*{given})"
+        done = programs.python("-c", code, folder=Path(name))
+    assert done.returncode == 0, done.stderr

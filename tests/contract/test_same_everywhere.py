@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from steerkit._support import native
 from steerkit.compiled import compile
@@ -45,7 +43,6 @@ PAPER = course("paper")
 SECONDS = 1.5
 CARS = 5
 needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
-few = settings(max_examples=2, suppress_health_check=list(HealthCheck), derandomize=True)
 
 
 def driven(driver: Block, plant: type[Any], rng: np.random.Generator, *, dt: float, **parts: Any) -> Loop:
@@ -195,37 +192,20 @@ def require_same(log: Log, reference: Log, what: str, bound: float = 1e-12) -> N
 every_loop = pytest.mark.parametrize("make", LOOPS, ids=lambda make: make.__name__)
 
 
-@every_loop
-@few
-@given(seed=st.integers(0, 10**6))
-def test_one_car_without_a_compiler(make: Callable[..., Loop], seed: int) -> None:
-    loop = make(seed, np.random.default_rng(seed))
-    start = loop.init()
-    reference = simulate(loop, SECONDS, state=start)
-    require_same(compile(loop, backend="python").run(SECONDS, state=start), reference, "python")
-
-
 LONG = (learner_with_recovery, learner_that_forecasts, steered_by_torque, one_that_adapts)
 """What a compiler optimises for seconds; the others are enough to see that optimised code gives the same."""
 
 
-@needs_compiler
+@pytest.mark.parametrize("backend", ["python", pytest.param("c", marks=needs_compiler)])
 @every_loop
-def test_one_car_and_a_batch_in_c(make: Callable[..., Loop], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_car_and_each_of_a_batch(backend: Any, make: Callable[..., Loop], monkeypatch: pytest.MonkeyPatch) -> None:
     if make not in LONG:
         monkeypatch.setenv("CC", optimising())
-    loop = make(3, np.random.default_rng(3))
-    c = compile(loop, backend="c")
-    for start in (loop.init(), loop.init(batch=CARS)):
-        require_same(c.run(SECONDS, state=start), simulate(loop, SECONDS, state=start), "C")
-
-
-@every_loop
-def test_each_car_of_a_batch_is_that_car_alone(make: Callable[..., Loop]) -> None:
-    loop = make(4, np.random.default_rng(4))
-    start = loop.init(batch=CARS)
-    together = simulate(loop, SECONDS, state=start)
-    require_same(compile(loop, backend="python").run(SECONDS, state=start), together, "one after the other")
+    for seed in (3, 4) if backend == "python" else (3,):
+        loop = make(seed, np.random.default_rng(seed))
+        compiled = compile(loop, backend=backend)
+        for start in (loop.init(), loop.init(batch=CARS)):
+            require_same(compiled.run(SECONDS, state=start), simulate(loop, SECONDS, state=start), backend)
 
 
 @needs_compiler

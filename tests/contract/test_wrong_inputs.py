@@ -110,11 +110,3 @@ def test_a_wrong_input_is_refused_in_words(
         answer = str(caught.value)
     assert not [words for words in entry["says"] if words not in answer], answer
     assert contents(folder) == before
-
-
-def test_there_are_150_and_each_says_something() -> None:
-    assert len(TABLE) >= 150
-    assert len({entry["what"] for entry in TABLE}) == len(TABLE)
-    for entry in TABLE:
-        assert {"command", "code", "block"} & entry.keys()
-        assert max(map(len, entry["says"])) >= 18, entry["what"]

@@ -11,7 +11,7 @@ from pathlib import Path
 from tests.support.places import ROOT, SUPPORT
 
 DOORS = [ROOT / "docs" / f"{name}.md" for name in ("control-engineer", "rl-researcher", "vehicle-tester")]
-"""The pages for users, which are run from a wheel (test_package.py)."""
+"""The pages for users (test_package.py)."""
 PAGES = list(
     dict.fromkeys([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOORS, *sorted((ROOT / "docs").glob("**/*.md"))])
 )
@@ -69,8 +69,8 @@ class Step:
     """A program that runs until it is stopped: it stays in the background until the page ends."""
     ends: bool = False
     """Is nothing that stays needed after this line?"""
-    code: int = 0
-    """Exit code."""
+    codes: tuple[int, ...] = (0,)
+    """Exit codes that it may end with."""
 
     @property
     def possible(self) -> bool:

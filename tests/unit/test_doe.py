@@ -92,12 +92,6 @@ def test_an_angle_beyond_the_stop_is_remembered_as_the_stop(doe: Any) -> None:
     assert x.delta_sw == radians_of(520.0)
 
 
-@does
-def test_nan_stays_nan(doe: Any) -> None:
-    assert math.isnan(once(doe, 0.0, math.nan).delta_sw)
-    assert math.isnan(doe.update(0.0, HeldAngle(0.0), doe.U(0.0, math.nan), doe.Y(0.0, 0.0)).delta_sw)
-
-
 # ---- behind a gate ------------------------------------------------------------------------------------------------
 
 

@@ -1,23 +1,13 @@
 """Errors teach: a hint for a mistyped name, what is valid, and bounds that hold for every car of a batch."""
 
 import math
-import re
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 
-from steerkit._support.errors import (
-    check_numbers,
-    known,
-    made_of,
-    number,
-    optional,
-    require,
-    require_within,
-    whole_samples,
-)
+from steerkit._support.errors import check_numbers, made_of, number, optional, require, require_within, whole_samples
 
 NAMES = ("stanley", "pure-pursuit", "lqr")
 
@@ -26,16 +16,6 @@ def test_a_package_that_is_not_installed_is_named_with_the_extra_that_brings_it(
     assert optional("math", "a", "b") is math
     with pytest.raises(ValueError, match=r"^a\.x: X needs no_such: pip install 'steerkit-control\[logs\]'$"):
         optional("no_such.thing", "a.x: X", "logs")
-
-
-def test_a_known_name_is_itself_and_another_is_answered_with_the_nearest_and_all() -> None:
-    assert known("lqr", NAMES, "controller") == "lqr"
-    valid = "valid: stanley, pure-pursuit, lqr"
-    hint = re.escape(f"controller 'stanly' is not known (did you mean 'stanley'?); {valid}, FILE.py:NAME")
-    with pytest.raises(ValueError, match=f"^{hint}$"):
-        known("stanly", NAMES, "controller", also="FILE.py:NAME")
-    with pytest.raises(ValueError, match=f"^controller 'x' is not known; {valid}$"):
-        known("x", NAMES, "controller")
 
 
 @pytest.mark.parametrize("wrong", [False, np.False_, np.array([True, False])])

@@ -201,16 +201,6 @@ def test_a_header_that_promises_more_than_there_is_is_refused(tmp_path: Path) ->
         files.read_npz(liar, "test")
 
 
-def test_a_toml_file_is_read_or_refused_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_text("a = 1\n")
-    assert files.read_toml(tmp_path / "a.toml", "test") == {"a": 1}
-    (tmp_path / "b.toml").write_text("a = = 1\n")
-    with pytest.raises(ValueError, match=r"^test: not TOML .*line 1"):
-        files.read_toml(tmp_path / "b.toml", "test")
-    with pytest.raises(ValueError, match=r"^test: .* cannot be read .No such file or directory.$"):
-        files.read_toml(tmp_path / "c.toml", "test")
-
-
 def test_a_bounded_file_gives_what_is_left_however_much_is_asked_for(tmp_path: Path) -> None:
     file = tmp_path / "short"
     file.write_bytes(b"0123456789")

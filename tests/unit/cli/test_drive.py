@@ -123,7 +123,6 @@ def test_no_drive_is_written_over_by_another(tmp_path: Path, monkeypatch: pytest
         (("--speed", "v.csv"), ("v.csv", 4.0, 11.0)),
         (("--speed", "5", "--v-max", "9"), "a steady speed; leave --v-max out"),
         (("--speed", "v.csv", "--v-max", "6"), "speed v.csv: 5 to 11 m/s, expected v_min to v_max, 4 to 6"),
-        (("--speed", "fast"), "speed 'fast'; valid: wander, recorded, limit, FILE.csv"),
         (("--speed", "w.csv"), "speed: w.csv cannot be read (No such file or directory)"),
         (("--speed", "x.csv"), "x.csv: columns x, v; valid: s [m], v [m/s]"),
         (("--speed", "far.csv"), "far.csv: s to 999 m, on a course of 188.5 m"),

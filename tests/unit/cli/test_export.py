@@ -28,11 +28,6 @@ def test_both_in_one_command(run: Path, tmp_path: Path, monkeypatch: pytest.Monk
     assert done["minari"]["episodes"] >= len(np.unique(transitions.episode))
 
 
-def test_mistakes_are_named(run: Path, cli: Any) -> None:
-    assert "give --onnx FILE or --minari NAME of a run" in cli("export", run, code=2).err
-    assert "no run directory" in cli("export", "/", "--onnx", "p.onnx", code=2).err
-
-
 def test_an_agents_file_goes_out_as_onnx(tmp_path: Path, cli: Any) -> None:
     net = Network(layers=((np.full((1, 6), -0.3), np.zeros(1)),), head="clip")
     PolicyBlock(policy=net).save(tmp_path / "agent-0.npz")

@@ -6,10 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.diagram.loop import Loop
-from steerkit.diagram.simulation import Log, simulate
 from steerkit.logs import read_drive
-from tests.support.parts import Count
 from tests.support.written_logs import driven, written
 
 
@@ -22,17 +19,6 @@ def test_a_log_is_shown_and_drawn(tmp_path: Path, cli: Any) -> None:
     assert picture.read_bytes()[:4] == b"\x89PNG"
     channels = cli("log", file, "--json").json["channels"]
     assert [row["quantity"] for row in channels] == ["delta_sw", "v", "r"]
-
-
-def test_plot_draws_signals_and_export_writes_a_table(tmp_path: Path, cli: Any) -> None:
-    drive, table = tmp_path / "drive.npz", tmp_path / "drive.csv"
-    simulate(Loop(blocks={"car": Count()}, wires=[]), 1.0).save(drive)
-    assert "drive-signals.png" in cli("plot", drive, "car.n").out
-    cli("export", drive, "--csv", table)
-    assert (tmp_path / "drive-signals.png").read_bytes()[:4] == b"\x89PNG"
-    head, *rows = table.read_text().splitlines()
-    assert head == "t [s],car.n [m]"
-    assert len(rows) == len(Log.load(drive).t) == 20
 
 
 def test_the_next_command_keeps_what_was_said_and_a_long_name_is_not_cut(

@@ -77,22 +77,7 @@ def test_a_false_direct_declaration_of_an_output_fails_where_it_matters() -> Non
         loop.init()
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Few(Block):
-    """Forgets one of its outputs."""
-
-    a = Out("m")
-    b = Out("m")
-
-    def output(self, t: Any, x: Any, u: Any) -> Any:
-        return (1.0,)
-
-
-def test_outputs_are_counted_on_the_first_sample() -> None:
-    with pytest.raises(
-        WiringError, match=re.escape("few.output (Few) gave 1 values, expected 2: return self.Y(a=..., b=...)")
-    ):
-        Loop(blocks={"few": Few()}, wires=[]).init()
+def test_entries_are_counted_on_the_first_sample() -> None:
     count, pair = Count(), Pair(entries=3)
     with pytest.raises(WiringError, match=re.escape("pair.both [m] has 2 entries, expected 3")):
         Loop(blocks={"count": count, "pair": pair}, wires=[(count.n, pair.u)]).init()

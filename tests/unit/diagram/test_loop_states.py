@@ -1,4 +1,4 @@
-"""States of a loop in files: saved and loaded bit for bit; broken and foreign ones are refused."""
+"""States of a loop in files: saved and loaded bit for bit; foreign ones are refused."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,12 +66,9 @@ def test_a_loop_starts_from_symbols_as_it_does_from_numbers() -> None:
     assert all(type(value) is Symbol for x in state.x for value in x)
 
 
-def test_broken_and_foreign_state_files_are_refused(tmp_path: Path) -> None:
+def test_foreign_state_files_are_refused(tmp_path: Path) -> None:
     loop, file = wavy(), tmp_path / "state.npz"
     loop.save_state(loop.init(), file)
-    (tmp_path / "cut").write_bytes(file.read_bytes()[:-40])
-    with pytest.raises(ValueError, match=r"load_state: .*cut is no NumPy .npz file, or a broken one"):
-        loop.load_state(tmp_path / "cut")
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(ValueError, match=r"other.npz lacks k; it is no state of Loop\(wave, slow, gain, pair"):
         loop.load_state(tmp_path / "other.npz")

@@ -11,81 +11,52 @@ from steerkit.diagram.loop import Loop
 from steerkit.doe import Integrator
 from tests.support.parts import Angle, Count, Gain, Pair, Sum
 
+COUNT, OTHER, GAIN, PAIR, ANGLE, DOE = Count(), Count(), Gain(), Pair(), Angle(), Integrator()
+BOTH = {"count": COUNT, "gain": GAIN}
+NO_PAIR = "expected a pair of ports such as (car.v, stanley.v)"
 
-def refused(message: str, **loop: Any) -> None:
-    with pytest.raises(WiringError, match=re.escape(message)):
-        Loop(**loop)
-
-
-def test_sizes_differ() -> None:
-    count, pair, gain = Count(), Pair(), Gain()
-    refused(
+MISTAKES: list[tuple[str, dict[Any, Any], list[Any]]] = [
+    (
         "wire pair.both [m] -> gain.u [m]: sizes differ (2 and scalar)",
-        blocks={"count": count, "pair": pair, "gain": gain},
-        wires=[(count.n, pair.u), (pair.both, gain.u)],
-    )
-
-
-def test_an_input_is_not_driven_and_the_candidates_are_named() -> None:
-    count, gain, angle = Count(), Gain(), Angle()
-    refused(
+        BOTH | {"pair": PAIR},
+        [(COUNT.n, PAIR.u), (PAIR.both, GAIN.u)],
+    ),
+    (
         "gain.u [m] is not driven; outputs with that unit: count.n, gain.y",
-        blocks={"count": count, "gain": gain, "angle": angle},
-        wires=[(count.n, angle.u)],
-    )
-    refused(
-        "doe.action [rad] is not driven; outputs with that unit: doe.delta_sw, doe.state",
-        blocks={"doe": Integrator()},
-        wires=[],
-    )
-    refused("gain.u [m] is not driven; outputs with that unit: gain.y", blocks={"gain": Gain()}, wires=[])
-
-
-def test_an_input_has_two_sources() -> None:
-    count, other, gain = Count(), Count(), Gain()
-    refused(
+        BOTH | {"angle": ANGLE},
+        [(COUNT.n, ANGLE.u)],
+    ),
+    ("doe.action [rad] is not driven; outputs with that unit: doe.delta_sw, doe.state", {"doe": DOE}, []),
+    (
         "gain.u [m] has two sources: count.n [m] and other.n [m]",
-        blocks={"count": count, "other": other, "gain": gain},
-        wires=[(count.n, gain.u), (other.n, gain.u)],
-    )
+        BOTH | {"other": OTHER},
+        [(COUNT.n, GAIN.u), (OTHER.n, GAIN.u)],
+    ),
+    ("wire Count.n [m] -> Gain.u [m]: Count is not in the loop; blocks: count, gain", BOTH, [(OTHER.n, GAIN.u)]),
+    ("'a' and 'b' are the same block object; make a second one", {"a": COUNT, "b": COUNT}, []),
+    ("a wire goes from an output to an input, here input to output", BOTH, [(GAIN.u, COUNT.n)]),
+    ("a wire goes from an output to an input, here output to output", BOTH, [(GAIN.y, COUNT.n)]),
+    *((NO_PAIR, BOTH, [wire]) for wire in ("count.n", (COUNT.n,), (Count.n, GAIN.u), [COUNT.n, GAIN.u], COUNT.n)),
+    ("a loop needs at least one block", {}, []),
+    ("block 'count' is a type, expected a Block", {"count": Count}, []),
+    ("block name 'my count': expected a Python identifier", {"my count": COUNT}, []),
+    ("algebraic loop: ", {"gain": GAIN}, [(GAIN.y, GAIN.u)]),
+]
+
+
+@pytest.mark.parametrize(("message", "blocks", "wires"), MISTAKES)
+def test_a_mistake_is_named(message: str, blocks: Any, wires: Any) -> None:
+    with pytest.raises(WiringError, match=re.escape(message)):
+        Loop(blocks=blocks, wires=wires)
 
 
 def test_an_unknown_port_is_answered_with_the_nearest_name() -> None:
     with pytest.raises(
         AttributeError, match=r"Integrator has no port or parameter 'aplied' \(did you mean 'applied'\?"
     ):
-        _ = Integrator().aplied
+        _ = DOE.aplied
     with pytest.raises(AttributeError, match=r"; inputs: none; outputs: n$"):
-        _ = Count().qqq
-
-
-def test_a_block_is_not_in_the_loop() -> None:
-    count, gain, stranger = Count(), Gain(), Count()
-    refused(
-        "wire Count.n [m] -> Gain.u [m]: Count is not in the loop; blocks: count, gain",
-        blocks={"count": count, "gain": gain},
-        wires=[(stranger.n, gain.u)],
-    )
-
-
-def test_the_same_block_twice() -> None:
-    count = Count()
-    refused("'a' and 'b' are the same block object; make a second one", blocks={"a": count, "b": count}, wires=[])
-
-
-def test_a_wire_runs_the_wrong_way_or_is_no_wire() -> None:
-    count, gain = Count(), Gain()
-    both: dict[str, Any] = {"blocks": {"count": count, "gain": gain}}
-    refused("a wire goes from an output to an input, here input to output", wires=[(gain.u, count.n)], **both)
-    refused("a wire goes from an output to an input, here output to output", wires=[(gain.y, count.n)], **both)
-    for nonsense in ("count.n", (count.n,), (Count.n, gain.u), [count.n, gain.u], count.n):
-        refused("expected a pair of ports such as (car.v, stanley.v)", wires=[nonsense], **both)
-
-
-def test_blocks_are_blocks_with_names() -> None:
-    refused("a loop needs at least one block", blocks={}, wires=[])
-    refused("block 'count' is a type, expected a Block", blocks={"count": Count}, wires=[])
-    refused("block name 'my count': expected a Python identifier", blocks={"my count": Count()}, wires=[])
+        _ = COUNT.qqq
 
 
 def test_an_algebraic_loop_is_printed() -> None:
@@ -101,15 +72,16 @@ def test_an_algebraic_loop_is_printed() -> None:
     assert "direct=False" in str(caught.value)
 
 
-def test_a_block_that_feeds_itself() -> None:
-    gain, total = Gain(), Sum()
-    refused("algebraic loop: ", blocks={"gain": gain}, wires=[(gain.y, gain.u)])
+def test_a_block_that_does_not_see_its_input_at_once_may_feed_itself() -> None:
+    total = Sum()
     Loop(blocks={"total": total}, wires=[(total.total, total.u)])
 
 
 def test_sample_times_have_to_divide() -> None:
+    two = {"fast": Count(dt=0.02), "slow": Count(dt=0.05)}
     with pytest.raises(WiringError, match=r"sample time of slow is 0.05 s, not a whole multiple of the base step 0.02"):
-        Loop(blocks={"fast": Count(dt=0.02), "slow": Count(dt=0.05)}, wires=[])
+        Loop(blocks=two, wires=[])
     for bad in (0.0, -0.01, float("nan"), float("inf")):
-        refused("expected a finite number > 0", blocks={"count": Count()}, wires=[], dt=bad)
-    assert Loop(blocks={"fast": Count(dt=0.02), "slow": Count(dt=0.05)}, wires=[], dt=0.01).every == (2, 5)
+        with pytest.raises(WiringError, match="expected a finite number > 0"):
+            Loop(blocks={"count": COUNT}, wires=[], dt=bad)
+    assert Loop(blocks=two, wires=[], dt=0.01).every == (2, 5)

@@ -15,6 +15,12 @@ from steerkit.diagram.loop import Loop
 from steerkit.diagram.realtime import BIN, Run, Timing, preferred, run
 
 
+@pytest.fixture(autouse=True, scope="module")
+def frozen() -> None:
+    """A run looks for garbage before it begins; that of other tests is none of ours."""
+    gc.freeze()
+
+
 class Hand(Clock):
     """A clock that stands still until somebody waits or works."""
 

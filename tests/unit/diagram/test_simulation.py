@@ -36,25 +36,13 @@ def test_the_signals_are_those_of_the_equations() -> None:
     np.testing.assert_array_equal(log["pair.both"], np.column_stack((log["gain.y"], 2.0 * log["gain.y"])))
 
 
-def test_a_run_goes_on_from_its_state() -> None:
-    whole, first = simulate(LOOP, 3.0), simulate(LOOP, 1.05)
-    both = joined([first, simulate(LOOP, 1.95, state=first.state)])
-    np.testing.assert_array_equal(both.t, whole.t)
-    for name in whole:
-        np.testing.assert_array_equal(both[name], whole[name])
-    assert both.units == whole.units
-
-
 def test_every_keeps_one_tick_in_so_many() -> None:
     whole, few = simulate(LOOP, 2.0), simulate(LOOP, 2.0, every=7)
     np.testing.assert_array_equal(few.t, whole.t[::7])
     for name in whole:
         np.testing.assert_array_equal(few[name], whole[name][::7])
     assert few.state == whole.state
-
-
-def test_ticks_that_are_kept_do_not_depend_on_where_the_run_began() -> None:
-    state = simulate(LOOP, 0.15).state  # three ticks
+    state = simulate(LOOP, 0.15).state  # three ticks: it does not matter where a run began
     assert simulate(LOOP, 0.5, state=state, every=5).t == pytest.approx([0.25, 0.5])
 
 
@@ -221,11 +209,7 @@ def test_a_saved_log_comes_back(tmp_path: Path, batch: int | None) -> None:
         back[LOOP.blocks["gain"].y]
 
 
-def test_broken_and_foreign_log_files_are_refused(tmp_path: Path) -> None:
-    simulate(LOOP, 1.0).save(tmp_path / "log.npz")
-    (tmp_path / "cut").write_bytes((tmp_path / "log.npz").read_bytes()[:-40])
-    with pytest.raises(ValueError, match=r"Log.load: .*cut is no NumPy .npz file, or a broken one"):
-        Log.load(tmp_path / "cut")
+def test_a_foreign_file_is_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", t=np.zeros(3))
     with pytest.raises(ValueError, match=r"other.npz was not written by Log.save; it holds t"):
         Log.load(tmp_path / "other.npz")

@@ -77,20 +77,12 @@ def test_a_block_replays_its_log_under_sanitizers(block: Block, tmp_path: Path) 
     [
         ("controller", "doe", "recovery", "supervisor"),
         ("recovery_path", "recovery"),
-        ("doe", "supervisor", "actuator"),  # of two rates: the actuator's five samples to one
+        ("controller", "doe", "supervisor", "actuator"),  # of two rates: the actuator's five samples to one
     ],
 )
 def test_a_part_of_a_loop_replays_the_simulation(blocks: tuple[str, ...], tmp_path: Path) -> None:
-    export_c(learner_loop(), tmp_path, blocks=blocks)
-    done = built(tmp_path, "controller", SANITIZED)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-@needs_gcc
-def test_a_part_knows_the_time(tmp_path: Path) -> None:
-    """The policy is ready from 1 s on."""
-    loop = learner_loop().with_block("controller", replace(policy(), ready_from=1.0))
-    export_c(loop, tmp_path, blocks=("controller", "doe", "supervisor", "actuator"))
+    """Whose policy, ready from 1 s on, has to know the time."""
+    export_c(learner_loop().with_block("controller", replace(policy(), ready_from=1.0)), tmp_path, blocks=blocks)
     done = built(tmp_path, "controller", SANITIZED)
     assert done.returncode == 0, done.stdout + done.stderr
 

@@ -306,15 +306,6 @@ def test_a_first_fix_that_is_wrong_is_left_out_and_is_no_origin(held: int) -> No
     assert "left out the first fix: (47.5, 9) [degrees] lies 55501 m from the next position" in notes[0]
 
 
-def test_samples_that_came_out_of_order_are_put_in_order() -> None:
-    t = np.arange(0.0, 10.0, 0.05)
-    order = np.arange(len(t))
-    order[[40, 41]] = [41, 40]
-    slow, fast = np.arange(0.0, 10.0, 0.1), np.sin(t)
-    found = aligned({"r": fast[order], "v": slow.copy()}, {"r": t[order], "v": slow}, "a log", [])
-    np.testing.assert_array_equal(found["r"], fast[: len(found["t"])])
-
-
 T = np.arange(0.0, 20.0, 0.02)
 RNG = np.random.default_rng(1)
 

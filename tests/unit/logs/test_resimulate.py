@@ -69,12 +69,6 @@ def test_an_offset_of_the_record_is_no_difference() -> None:
     assert np.allclose(one.driven, other.driven, atol=1e-12)
 
 
-def test_it_is_the_same_to_the_last_bit() -> None:
-    one, other = (resimulate(drive(seconds=22.0), "mpc", vehicle=CAR) for _ in range(2))
-    for name in one.log:
-        assert np.array_equal(one.log[name], other.log[name])
-
-
 def test_limits_are_counted() -> None:
     fast = drive(seconds=40.0)
     fast = replace(fast, v=3.0 * fast.v, delta_sw=fast.delta_sw)

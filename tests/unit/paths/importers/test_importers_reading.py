@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path as FilePath
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from steerkit.learning.experiment import Experiment, LearningRun
@@ -204,49 +203,6 @@ def test_a_csv_without_keys_is_exact() -> None:
     assert not is_road("paper")
     assert is_road("yard.csv#noise=0.5")
     assert is_road("LAP.GPX")
-
-
-@pytest.mark.parametrize(
-    ("style", "key", "closed"),
-    [
-        ({}, "", False),
-        ({}, "#noise=0.3", True),
-        ({"sep": ";", "decimal": ","}, "#noise=0.3", False),
-        ({"sep": "\t", "encoding": "utf-16"}, "", True),
-    ],
-    ids=["plain", "noisy", "german", "wide"],
-)
-def test_what_is_shown_is_what_is_driven(style: dict[str, str], key: str, closed: bool, tmp_path: FilePath) -> None:
-    """One course from a file for the preview, for Python, for a scenario; whatever its columns are called."""
-    u = np.linspace(0.0, (2.0 if closed else 1.8) * np.pi, 120)[: -1 if closed else None]
-    xy = np.column_stack((40.0 * np.cos(u), 25.0 * np.sin(u)))
-    file = tmp_path / "yard.csv"
-    pd.DataFrame({"X [m]": xy[:, 0], "pos_y_mm": 1e3 * xy[:, 1], "speed (km/h)": 18.0}).to_csv(
-        file, index=False, **style
-    )
-    address = f"{file}{key}"
-    shown = read_course(address)
-    driven = Scenario.under("clean", course={"name": address}).course.path(11.0)
-    assert shown.path.closed is closed
-    assert shown.path.length == pytest.approx(driven.length, rel=1e-9)
-    assert shown.path.point(37.0) == pytest.approx(driven.point(37.0), abs=1e-6)
-    assert course(address).length == shown.path.length
-    assert shown.v is not None
-    assert shown.v[0] == pytest.approx(5.0)
-    if not key:
-        assert np.abs(np.asarray(shown.path.point(0.0)) - xy[0]).max() < 1e-6
-
-
-def test_a_table_that_says_too_little_asks(tmp_path: FilePath) -> None:
-    file = tmp_path / "yard.csv"
-    file.write_text("0,0\n1,0\n")
-    with pytest.raises(ValueError, match=r"line 1 holds numbers \(0,0\), no names; put a row of 2 names above them"):
-        course(str(file))
-    np.savetxt(file, np.column_stack((np.arange(30.0), np.zeros(30))), delimiter=",", header="x_m,y_m")
-    assert course(str(file)).length == pytest.approx(29.0)
-    file.write_text("x [ft],y [ft]\n0,0\n1,0\n")
-    with pytest.raises(ValueError, match=r"column x: unit 'ft'; valid: m, km, cm, mm"):
-        course(str(file))
 
 
 FIGURES = {"YARD.CSV": ("X [m];pos_y [m]", False), "ring.csv": ("x,y", True), "gps.csv": ("Latitude\tlng", False)}
