@@ -6,7 +6,7 @@ import gymnasium
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-ID = "steerkit/TrackSteering-v0"
+ID = "steerkit.gym:steerkit/TrackSteering-v0"
 
 
 @pytest.mark.filterwarnings("error")
