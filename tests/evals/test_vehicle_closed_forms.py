@@ -11,14 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from steerkit.plants.single_track import (
-    V_DYNAMIC,
-    V_KINEMATIC,
-    LinearSingleTrack,
-    NonlinearSingleTrack,
-    dynamic_share,
-    fiala,
-)
+from steerkit.plants.single_track import V_DYNAMIC, V_KINEMATIC, LinearSingleTrack, NonlinearSingleTrack, fiala
 from steerkit.vehicles import VEHICLES, VW_PASSAT, G, Vehicle
 
 PLANTS = [LinearSingleTrack, NonlinearSingleTrack]
@@ -154,11 +147,6 @@ def test_blend_is_smooth_in_speed(cls, v):
     assert below == pytest.approx(above, abs=5e-3)
     kink = (above - at) - (at - below)
     assert np.abs(kink).max() / step < 1e-3
-
-
-def test_share_of_the_dynamic_model():
-    assert [dynamic_share(v) for v in (-1.0, 0.0, 1.0, 2.0, 3.0, 40.0)] == [0.0, 0.0, 0.0, 0.5, 1.0, 1.0]
-    assert math.isnan(dynamic_share(math.nan))
 
 
 @pytest.mark.parametrize("cls", PLANTS)

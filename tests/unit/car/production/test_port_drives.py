@@ -149,7 +149,7 @@ def test_after_braking_it_engages_again_once_cruise_control_does() -> None:
     world = ProductionWorld(config_of("TOYOTA_COROLLA"))
     for k in range(60):
         if k == 12:
-            world.fault("brake", length=0.5)
+            world.car.faults.append(Fault(kind="brake", target="report", start=world.t, length=0.5))
         snapshot = world.query()
         if math.isfinite(snapshot.delta_sw):
             world.request(snapshot.delta_sw)
