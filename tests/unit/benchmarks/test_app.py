@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from typer.testing import CliRunner
 
 from benchmarks import app as benchmarks_app
 from benchmarks.app import app, main
+from benchmarks.report import parts
 from benchmarks.run import golden
-from benchmarks.run.results import Case, Results
+from benchmarks.run.results import Results
 from benchmarks.suites import SUITES
 from tests.support.tiny_suite import TINY
 
@@ -47,6 +49,7 @@ def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reference
         (["report", "nowhere"], "there are no such results"),
         (["compare", "a", "b"], "there are no such results"),
         (["run", "golden", "--only", "xyz"], "--only xyz: no scenario or controller"),
+        (["run", "trackin"], "did you mean 'tracking'"),
     ],
 )
 def test_mistakes_are_one_line(words, message, tmp_path, monkeypatch, capsys) -> None:
@@ -117,22 +120,11 @@ def test_golden_numbers_that_moved_end_with_1_unless_they_are_renewed(
     assert kept == (factor if words else 1.0)
 
 
-def test_the_leaderboard_after_a_run_is_that_of_the_report(capsys: pytest.CaptureFixture[str]) -> None:
-    """Medians, for which a drive that was not held counts as worst."""
-    drives = [(0.1, True), (0.3, True), (0.0, False)]
-    cases = [
-        Case(
-            suite="s",
-            scenario="a",
-            controller="c",
-            seed=n,
-            metrics={**dict.fromkeys(benchmarks_app.LEADERBOARD, e), "held": float(held)},
-        )
-        for n, (e, held) in enumerate(drives)
-    ]
-    training = Case(suite="training", scenario="train-clean", controller="c", seed=0, kind="learn")
-    benchmarks_app._leaderboard(Results(Path(), {}, (*cases, training)))
+def test_the_leaderboard_after_a_run_is_that_of_the_report(known: Results, capsys: pytest.CaptureFixture[str]) -> None:
+    benchmarks_app._leaderboard(known)
     shown = capsys.readouterr().out
-    row = next(line for line in shown.splitlines() if "67 %" in line)
-    assert row.split()[-10::2] == ["0.300"] * 5, row
+    _, rows = parts.leaderboard([case for case in known.cases if case.suite == "tracking"], benchmarks_app.LEADERBOARD)
+    for row in rows[:3]:
+        assert re.search(r"\W+".join(map(re.escape, (row.controller, *[cell.text for cell in row.cells]))), shown)
+    assert "tracking: medians over the seeds" in shown
     assert "training" not in shown

@@ -1,22 +1,14 @@
 """Who drives: peers that are not installed are a row of their own, do-mpc drives."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.entries import CONTROLLERS, controller
+from benchmarks.entries import controller
 from benchmarks.scenarios import scene
-from tests.support.own_controller import own_controller
 
 STEP = scene(name="step", course="curvature-step", driver={"v_min": 7.0, "v_max": 7.0})
-
-
-def test_one_who_is_learned_is_taught_before_it_drives_and_no_other() -> None:
-    assert {entry.kind for entry in CONTROLLERS.values() if entry.learns} == {"learned", "peer"}
-    assert not any(entry.learns for entry in CONTROLLERS.values() if entry.kind == "analytic" or entry.make)
-    assert all(entry.learns or entry.make for entry in CONTROLLERS.values())
 
 
 def test_one_that_is_told_the_truth_knows_what_the_scenario_hides() -> None:
@@ -31,14 +23,6 @@ def test_one_that_is_told_the_truth_knows_what_the_scenario_hides() -> None:
     assert controller("lqr").as_believed(hidden) == hidden
     wrong = controller("lqr-told-wrong").as_believed(hidden).design_model()
     assert (wrong.delay, wrong.lag, wrong.offset) == (pytest.approx(0.3), 0.3, 0.0)
-
-
-def test_results_say_which_text_of_ones_own_controller_drove(tmp_path: Path) -> None:
-    name = own_controller(tmp_path)
-    before = controller(name)
-    assert (before.name, before.kind, before.learns) == (name, "own", False)
-    (tmp_path / "my_file.py").write_text((tmp_path / "my_file.py").read_text() + "# another\n")
-    assert controller(name).about != before.about
 
 
 def test_a_missing_peer_is_a_row_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:

@@ -1,4 +1,4 @@
-"""The suites hang together, and unknown names are answered with the known ones."""
+"""The suites hang together, and go where a user has them go."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -43,19 +43,6 @@ def test_suites_hang_together() -> None:
     assert {job.scenario for job in jobs([suite("tracking")], only=["slalom-9"])} == {"slalom-9", "train-clean"}
 
 
-@pytest.mark.parametrize(
-    ("ask", "message"),
-    [
-        (lambda: suite("trackin"), "did you mean 'tracking'"),
-        (lambda: controller("stanly"), "did you mean 'stanley'"),
-        (lambda: jobs([suite("golden")], only=["nothing"]), "--only nothing: no scenario or controller"),
-    ],
-)
-def test_unknown_names(ask, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        ask()
-
-
 def test_the_selection_of_make_bench_has_seeds_enough_for_its_verdict() -> None:
     assert suite("quick").seeds >= ENOUGH
 
@@ -97,7 +84,7 @@ def test_on_cars_unlike_their_data_sheet_a_learner_is_trained_for_each_and_quick
     assert {job.training for job in planned if job.kind == "drive" and "nfq" in job.controller} == {
         job.id for job in trained
     }
-    monkeypatch.setitem(TRAININGS, "same-car-1", replace(TRAININGS["same-car-1"], minutes=0.15))
+    monkeypatch.setitem(TRAININGS, "same-car-1", replace(TRAININGS["same-car-1"], minutes=0.1))
     quick = replace(suite("adapt-quick"), controllers=("lqr", "lqr-oracle", "nfq-same-car-1"))
     (car,) = quick.scenarios
     results = run([quick], tmp_path / "results", workers=1, quiet=True)

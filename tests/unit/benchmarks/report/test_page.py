@@ -82,12 +82,3 @@ def test_a_browser_shows_the_page_without_errors_and_nothing_sticks_out(
     assert orders["up"] == ["stanley", "nfq-idoe", "pure-pursuit", "mpc", "sac"]
     assert orders["down"] == ["pure-pursuit", "nfq-idoe", "stanley", "mpc", "sac"]
     assert orders["aria"] == "descending"
-
-
-@needs_browser
-def test_the_browser_test_sees_an_error_and_an_overflow(page: str, tmp_path: Path) -> None:
-    broken = page.replace("</main>", '<div style="width: 3000px">.</div><script>nothing.there()</script></main>', 1)
-    found = browsed(broken, PHONE, tmp_path)
-    assert any("nothing is not defined" in line for line in found["seen"])
-    assert found["scroll"] > PHONE[0]
-    assert found["wide"]

@@ -100,58 +100,38 @@ def outcome(log: Log, scenario: Scenario = SCENARIO) -> dict[str, float]:
     return judged(log, scenario, PATH, LOOP)[0]
 
 
-@pytest.mark.parametrize("learned", [False, True])
-def test_a_whole_drive_on_the_path_is_held(learned: bool) -> None:
-    metrics = outcome(log_of(LENGTH + 1.0, learned=learned))
-    assert (metrics["held"], metrics["rounds"]) == (1.0, 1.0)
-    assert metrics["duration"] == pytest.approx(LENGTH / V, abs=0.05)
-    assert (metrics["rms_e"], metrics["max_e"]) == (pytest.approx(0.1), pytest.approx(0.1))
+def from_200(e: float) -> Any:
+    return lambda progress: np.where(progress > 200.0, e, 0.1)
 
 
-@pytest.mark.parametrize("learned", [False, True])
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
-def test_a_drive_that_ran_out_of_time_is_not_held(share: float, learned: bool) -> None:
-    metrics = outcome(log_of(share * LENGTH, learned=learned))
-    assert metrics["held"] == 0.0
-    assert metrics["rounds"] == pytest.approx(share, abs=0.001)
+def caught(progress: Any) -> Any:
+    """Recovery takes over at 100 m, and lets go again at 150 m."""
+    return np.where((progress > 100.0) & (progress < 150.0), 0.0, 1.0)
 
 
-def test_a_learned_drive_that_was_caught_is_not_held_though_recovery_brought_it_home() -> None:
-    def learning(progress: Any) -> Any:
-        return np.where((progress > 100.0) & (progress < 150.0), 0.0, 1.0)  # caught, and let go again
-
-    metrics = outcome(log_of(LENGTH + 1.0, learned=True, supervisor__learning=learning))
-    assert metrics["held"] == 0.0
-    assert metrics["rounds"] == pytest.approx(100.0 / LENGTH, abs=0.001)
-    assert metrics["duration"] == pytest.approx(20.0, abs=0.05)
-
-
-def test_a_learned_drive_that_left_the_lane_without_being_caught_is_not_held() -> None:
-    metrics = outcome(log_of(LENGTH + 1.0, learned=True, path__e=lambda p: np.where(p > 200.0, 0.6, 0.1)))
-    assert metrics["held"] == 0.0
-    assert metrics["rounds"] == pytest.approx(200.0 / LENGTH, abs=0.001)
-    assert metrics["max_e"] == pytest.approx(0.1)  # what came after is not its own
-
-
-@pytest.mark.parametrize("bad", [3.1, -3.1, math.nan])
-def test_an_analytic_drive_ends_where_it_left_the_course(bad: float) -> None:
-    metrics = outcome(log_of(LENGTH + 1.0, path__e=lambda p: np.where(p > 200.0, bad, 0.1)))
-    assert metrics["held"] == 0.0
-    assert metrics["rounds"] == pytest.approx(200.0 / LENGTH, abs=0.001)
-
-
-@pytest.mark.parametrize(("e", "held"), [(0.5, 1.0), (0.51, 0.0), (-0.51, 0.0), (2.9, 0.0)])
-def test_an_analytic_drive_beyond_half_a_metre_goes_on_but_is_not_held(e: float, held: float) -> None:
-    metrics = outcome(log_of(LENGTH + 1.0, path__e=lambda p: np.where(abs(p - 200.0) < 5.0, e, 0.1)))
-    assert (metrics["held"], metrics["rounds"]) == (held, 1.0)
-    assert metrics["max_e"] == abs(e)
-
-
-def test_what_comes_after_the_end_does_not_count() -> None:
-    metrics = outcome(log_of(LENGTH + 30.0, path__e=lambda p: np.where(p > LENGTH + 1.0, 2.0, 0.1)))
-    assert metrics["held"] == 1.0
-    assert metrics["max_e"] == pytest.approx(0.1)
-    assert metrics["duration"] == pytest.approx(LENGTH / V, abs=0.05)
+@pytest.mark.parametrize(
+    ("metres", "learned", "changes", "held", "until"),
+    [
+        *((LENGTH + 1.0, learned, {}, 1.0, LENGTH) for learned in (False, True)),
+        *((share * LENGTH, False, {}, 0.0, share * LENGTH) for share in (0.0, 0.5, 0.999)),
+        (0.5 * LENGTH, True, {}, 0.0, 0.5 * LENGTH),
+        (LENGTH + 1.0, True, {"supervisor__learning": caught}, 0.0, 100.0),
+        (LENGTH + 1.0, True, {"path__e": from_200(0.6)}, 0.0, 200.0),
+        *((LENGTH + 1.0, False, {"path__e": from_200(e)}, 0.0, 200.0) for e in (3.1, -3.1, math.nan)),
+        *((LENGTH + 1.0, False, {"path__e": from_200(e)}, held, LENGTH) for e, held in ((0.5, 1.0), (-0.51, 0.0))),
+        (LENGTH + 30.0, False, {"path__e": lambda p: np.where(p > LENGTH + 1.0, 2.0, 0.1)}, 1.0, LENGTH),
+    ],
+)
+def test_a_drive_is_judged_until_its_end_or_until_it_is_lost(
+    metres: float, learned: bool, changes: dict[str, Any], held: float, until: float
+) -> None:
+    """An analytic one beyond half a metre goes on; a learned one that was caught is lost, whoever brought it home."""
+    metrics = outcome(log_of(metres, learned=learned, **changes))
+    assert metrics["held"] == held
+    assert metrics["rounds"] == pytest.approx(until / LENGTH, abs=0.001)
+    assert metrics["duration"] == pytest.approx(until / V, abs=0.06)
+    if held and not changes:
+        assert (metrics["rms_e"], metrics["max_e"]) == (pytest.approx(0.1), pytest.approx(0.1))
 
 
 def test_of_several_rounds_their_number_is_told() -> None:

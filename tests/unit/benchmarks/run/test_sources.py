@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.run import sources
-from benchmarks.run.sources import identity, source, versions
+from benchmarks.run.sources import identity, source
 from tests.support.places import ROOT
 
 MAKES_NUMBERS = [f"benchmarks/{one}" for one in ("suites.py", "run/drives.py", "peers/agents.py")]
@@ -49,11 +49,6 @@ def test_a_short_word_for_sources_and_versions(monkeypatch: pytest.MonkeyPatch) 
 
 def test_the_files_named_here_are_there() -> None:
     assert [name for name in (*MAKES_NUMBERS, *READS_ONLY) if not (ROOT / name).is_file()] == []
-
-
-def test_versions_of_what_numbers_depend_on() -> None:
-    assert versions()["python"] == sys.version.split()[0]
-    assert {"numpy", "casadi", "control"} <= versions().keys()
 
 
 def test_it_loads_neither_package() -> None:
