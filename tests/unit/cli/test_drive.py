@@ -185,11 +185,7 @@ def test_a_target_of_lateral_acceleration_instead_of_a_course(tmp_path: Path, cl
     assert cli("drive", "mpc", *words).json == rows[1]
 
 
-def test_a_target_has_no_rounds_and_no_car(tmp_path: Path, cli: Any) -> None:
-    for course in (("--rounds", "1"), ("--course", "genesis"), ("--v-max", "9")):
-        assert f"leave {course[0]} out" in cli("drive", "mpc", "--target", "drawn-7", *course, code=2).err
-    said = cli("drive", "mpc", "--target", "drawn-7", "--car", "dbw-kit.toml", code=2).err
-    assert "--target is for simulations: a car is driven along a course" in said
+def test_a_controller_of_the_challenge_drives_no_car(tmp_path: Path, cli: Any) -> None:
     (tmp_path / "theirs.py").write_text("class Controller:\n    def update(self, *_):\n        return 0.0\n")
     said = cli("drive", f"{tmp_path / 'theirs.py'}:Controller", "--car", "dbw-kit.toml", code=2).err
     assert "theirs.py:Controller" in said

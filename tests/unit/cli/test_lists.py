@@ -32,4 +32,3 @@ def test_vehicles_as_a_table_and_as_json(monkeypatch: pytest.MonkeyPatch, cli: A
         assert all(name in printed for name in (*VEHICLES, *fleet(), "wheel-", "steer", "torque", "(m/s)"))
         assert "…" not in printed
         assert max(map(len, printed.splitlines())) <= 80
-    assert "no name has 'trabant' in it" in cli("vehicles", "trabant", code=2).err

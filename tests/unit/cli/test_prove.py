@@ -1,10 +1,7 @@
-"""`steerkit prove`: the list, a table, a page, JSON, the exit code, a user's limits and manoeuvres; what it refuses."""
+"""`steerkit prove`: the list, a table, a page, JSON, the exit code, limits of one's own; its mistakes: test_app.py."""
 
-import re
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from steerkit.proving.manoeuvre import names
 
@@ -43,19 +40,3 @@ def test_a_log_is_searched_and_several_manoeuvres_get_a_page_each(tmp_path: Path
     assert sine["runs"] == []
     assert any("not in this log" in note for note in sine["notes"])
     assert {file.name for file in (tmp_path / "pages").iterdir()} == {"steady-state-circle.html", "sine.html"}
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("step-stear",), "did you mean 'step-steer'"),
-        (("sine", "step-steer", "--report", "one.html"), "one page is of one manoeuvre"),
-        (("sine", "--report", "one.pdf"), "expected FILE.html, or a folder"),
-        (("lane-change-1", "--a-y", 2), "driven on a course"),
-        (("sine", "--speed", 0), r"v = 0.0 \[m/s\]"),
-        (("sine", "--car", "dbw-kit.toml", "--yes"), "a person consents"),
-        (("sine", "--car", "dbw-kit.toml", "--simulated"), "cannot be driven with this car.*--speed 9"),
-    ],
-)
-def test_mistakes_are_refused_before_anything_is_driven(words: Any, said: str, cli: Any) -> None:
-    assert re.search(said, cli("prove", *words, code=2).err)
