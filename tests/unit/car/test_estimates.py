@@ -157,6 +157,7 @@ def test_after_a_fault_all_is_found_anew_and_a_drive_that_ends_in_one_says_so(ca
     watched, prior = Watched(CONFIG, noted.append), fed([])
     for sample in samples:
         watched.sample(sample)
+    assert len(noted) == len(samples) // estimates.EVERY, "once a second"
     assert watched.found["steer_ratio"].valid == 1.0
     ended = samples[-1]._replace(mode=Mode.FAULT)
     watched.sample(ended)
