@@ -84,7 +84,7 @@ def test_on_cars_unlike_their_data_sheet_a_learner_is_trained_for_each_and_quick
     assert {job.training for job in planned if job.kind == "drive" and "nfq" in job.controller} == {
         job.id for job in trained
     }
-    monkeypatch.setitem(TRAININGS, "same-car-1", replace(TRAININGS["same-car-1"], minutes=0.1))
+    monkeypatch.setitem(TRAININGS, "same-car-1", replace(TRAININGS["same-car-1"], minutes=0.15))
     quick = replace(suite("adapt-quick"), controllers=("lqr", "lqr-oracle", "nfq-same-car-1"))
     (car,) = quick.scenarios
     results = run([quick], tmp_path / "results", workers=1, quiet=True)

@@ -33,7 +33,7 @@ from tests.support.short_run import SHORT
 
 
 def test_nets_are_driven_with_another_seed_and_judged_by_the_criterion() -> None:
-    learner = Learner(replace(SHORT, minutes=0.3), Criterion(rms_e=0.0))
+    learner = Learner(replace(SHORT, minutes=0.15), Criterion(rms_e=0.0))
     net, experiment = learner.trained.nets[-1], learner.experiment
     (alone,) = drive_each(experiment.scenario, experiment.setting, [net.policy], seed=experiment.seed + 1000)
     assert learner.final is learner.drive(net)
@@ -64,7 +64,7 @@ def test_the_first_good_net_counts_from_when_it_took_the_wheel() -> None:
 
 
 def test_the_best_that_is_told_is_told_the_truth() -> None:
-    untold = told(scene(HOME, 7.0, 7.0, 0), 0.0)
+    untold = told(scene(HOME, 7.0, 7.0, 0).with_(course={"rounds": 0.3}), 0.0)
     assert (untold.believed_dead_time, told(untold, 1.5).believed_dead_time) == (0.0, pytest.approx(0.3))
     name, best = best_told(untold, ("lqr", "stanley"), seed=3)
     truth = untold.with_(knowledge={"delay": None})
