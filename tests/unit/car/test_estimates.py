@@ -59,6 +59,26 @@ def test_the_truth_is_in_the_intervals(calibration: Made) -> None:
     )
 
 
+def test_a_samples_motion_goes_with_the_next_ones_wheel_and_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command that acted from it on is known with the next; the filter takes the wheel a sample late (`held`)."""
+    got: dict[str, dict[str, float]] = {}
+    monkeypatch.setattr(CarEstimators, "_feed", lambda of, name, given: got.update({name: given}))
+    one = Snapshot(t=1.0, v=5.0, r=0.1, psi=0.2, delta_sw=0.3, command=0.4, report_age=0.01, mode=Mode.ENGAGED)
+    two = Snapshot(t=1.05, v=6.0, r=0.5, psi=0.6, delta_sw=0.7, command=0.8, report_age=0.0, mode=Mode.ENGAGED)
+    estimators = CarEstimators(CONFIG)
+    estimators.sample(one)
+    estimators.sample(two)
+    motion = {key: got["filter"][key] for key in ("v", "r", "psi", "delta_sw", "delay", "lag")}
+    assert motion == {"v": 5.0, "r": 0.1, "psi": 0.2, "delta_sw": 0.7, "delay": 0.05, "lag": 0.0}
+    for name, command in (("short lag", "delta_sw_cmd"), ("long lag", "delta_sw_cmd"), ("friction", "angle")):
+        assert (got[name][command], got[name]["delta_sw_meas"], got[name]["active"]) == (0.8, 0.3, 1.0)
+    estimators.sample(two._replace(t=1.15))
+    assert math.isnan(got["filter"]["delta_sw"])
+    assert math.isnan(got["filter"]["psi"])
+    assert math.isnan(got["short lag"]["delta_sw_cmd"])
+    assert got["short lag"]["active"] == 0.0
+
+
 def test_driving_by_hand_shows_the_ratio_but_no_delay(calibration: Made) -> None:
     by_hand = [s._replace(mode=Mode.STANDBY) for s in samples_of(calibration)]
     found = fed(by_hand)

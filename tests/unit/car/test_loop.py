@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 from steerkit.car import loop as loops
+from steerkit.car.client import ReplayLink
 from steerkit.car.loop import Follow
 from steerkit.car.state_machine import Mode, Order
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.controllers.stanley import Stanley
 from steerkit.diagram.block import Block
 from steerkit.learning.nfq import iterate as nfq
 from steerkit.learning.settings import setting
@@ -45,6 +47,13 @@ def test_a_solver_has_its_budget_on_the_road_and_all_the_time_it_needs_in_a_repl
         found = solvers(loops.controller_named(name, CONFIG, in_time=in_time).block)
         assert {solver.budget for solver in found} == {budget}
         assert all((solver.clock is None) is in_time for solver in found)
+
+
+def test_e_is_measured_at_the_front_axle() -> None:
+    loop = loops.car_loop(CONFIG, ReplayLink([]), Stanley.of(CONFIG.vehicle))
+    tracker: Any = loop.blocks["path"]
+    assert tracker.reference == CONFIG.vehicle.l_f
+    assert loop.inputs_of("controller")["e"] == "path.e"
 
 
 def policy(number: int = 0) -> NfqPolicy:
