@@ -223,7 +223,7 @@ class Drive:
     def turns(self) -> bool:
         """Does it turn enough to identify the car? Else not even units and signs can be judged."""
         use = self.driving
-        return float(np.std(self.r[use] / self.v[use])) > TURNING
+        return bool(use.any()) and float(np.std(self.r[use] / self.v[use])) > TURNING
 
     def to_log(self) -> Log:
         """The drive as a Log: `save` writes it as .csv, .npz or .parquet, which `read_drive` reads again."""
