@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from steerkit._support.errors import number, require, require_within
+from steerkit.controllers.offset_free import OffsetFree
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, State, entries_of, require_ports, take_ports, without_port
 from steerkit.diagram.maths import Scalar
@@ -15,6 +16,8 @@ from steerkit.task import STOP
 
 _EVERY = 5.0
 """Samples after which the estimate of the dead time is read again: its fits take longer than all the rest."""
+_OWN_COMMAND = 0.01
+"""Up to so far from its own command of a sample before, the angle commanded then was its own [rad]."""
 
 
 class _Own(NamedTuple):
@@ -26,6 +29,8 @@ class _Own(NamedTuple):
     valid: Scalar
     since: Scalar
     """Samples since then."""
+    asked: Scalar
+    """Its own command of a sample before [rad]."""
     standby: Scalar
     """Did another controller steer?"""
     delay: Scalar
@@ -55,9 +60,10 @@ class Adaptive(Block):
     Ports and sample time are those of `blocks`, the inputs v and r among them; the preview is the longest. With
     `takes_turns` there is one input more, doe [rad]: the angle commanded a sample before, by whichever controller
     steered. State: those of `blocks`, of `delay` and `steering`, then dead time and lag as last read from `delay`,
-    their deviation [s], whether they were valid, samples since then and whether it was on standby [1], d [s] and g [1].
-    In a drive of one car only the two controllers that are mixed are evaluated, and `delay`, which takes its time, is
-    read every fifth sample. Samples with NaN in v, r or doe update no estimate, nor do samples on standby: see
+    their deviation [s], whether they were valid, samples since then, its own last command [rad], whether it was on
+    standby [1], d [s] and g [1]. While another controller steers, integral action of `blocks` keeps what it has. In a
+    drive of one car only the two controllers that are mixed are evaluated, and `delay`, which takes its time, is read
+    every fifth sample. Samples with NaN in v, r or doe update no estimate, nor do samples on standby: see
     `on_standby`. Raises ValueError for controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4
     (gain scheduling) and 3.1 (certainty equivalence: estimates are used as if they were true).
     """
@@ -129,7 +135,7 @@ class Adaptive(Block):
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         inner = [value for block in (*self.blocks, self.delay, self.steering) for value in block.init(batch)]
-        own = _Own(0.0, 0.0, 0.0, since=_EVERY, standby=0.0, delay=self.prior_delay, ratio=1.0)
+        own = _Own(0.0, 0.0, 0.0, since=_EVERY, asked=0.0, standby=0.0, delay=self.prior_delay, ratio=1.0)
         return (*inner, *[m.filled(value, batch) for value in own])
 
     def believed(self, x: State) -> tuple[Scalar, Scalar]:
@@ -189,12 +195,15 @@ class Adaptive(Block):
         own = self._read(t, _own(x), states[-2])
         standby, ratio = own.standby, own.ratio
         sheet = y._replace(delta_sw=y.delta_sw / ratio)
-        after = [
-            block.update(t, state, self._seen(block, block.U, u, ratio), sheet)
-            for block, state in zip(self.blocks, states)
-        ]
-        known = self.steering.output(t, states[-1], ())
         sent = u.doe if self.takes_turns else y.delta_sw
+        mine = m.absolute(sent - own.asked) <= _OWN_COMMAND
+        after: list[State] = []
+        for block, state in zip(self.blocks, states):
+            new = block.update(t, state, self._seen(block, block.U, u, ratio), sheet)
+            if self.takes_turns and isinstance(block, OffsetFree):
+                new = block.kept(state, new, mine)
+            after.append(new)
+        known = self.steering.output(t, states[-1], ())
         after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - standby, u.r, u.v), ()))
         car = self.steering.vehicle
         n = ratio * car.steer_ratio
@@ -210,6 +219,7 @@ class Adaptive(Block):
         doubt = m.maximum(own.deviation / self.delay_sure, 1.0)
         rates = self.delay_rate / (doubt * doubt), self.delay_rate
         own = own._replace(
+            asked=y.delta_sw,
             standby=0.0 * standby,
             delay=self._followed(own.delay, dead + late, own.valid, rates, bounds),
             ratio=self._followed(ratio, known.ratio, known.ratio_valid, (self.ratio_rate,) * 2, ratios),

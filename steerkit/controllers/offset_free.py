@@ -87,6 +87,11 @@ class OffsetFree(Wrapper):
         angle = u.delta_sw_meas if "delta_sw_meas" in u._fields else 0.0 * u.e
         return (*inner, *x[-5:-2], u.e + 0.0, angle + 0.0)
 
+    def kept(self, x: State, after: State, steers: Scalar) -> State:
+        """The state `after` that follows x, but with the z of x where another controller steers: e is not its own."""
+        z_clock_usual = [m.where(steers, moved, held) for moved, held in zip(after[-5:-2], x[-5:-2])]
+        return (*after[:-5], *z_clock_usual, *after[-2:])
+
     def output(self, t: Any, x: State, u: Any) -> Any:
         y = self.inner_output(t, x, u)
         return y._replace(delta_sw=m.clip(y.delta_sw + x[-5], -self.limit, self.limit))
@@ -119,7 +124,7 @@ class CommandCompensation(Wrapper):
 
     makes a steering that turns the wheel to gain*command + offset reach the angle that `block` asks for. Ports, units,
     state and sample time are those of `block`, which goes on from its own angle. It sees the measured angle as it is,
-    with offset and gain in it.
+    with offset and gain in it, and what another controller commanded (doe) as the angle that this reaches.
 
     Raises ValueError for a gain that is not positive and for a block without an output delta_sw.
     """
@@ -134,6 +139,9 @@ class CommandCompensation(Wrapper):
     def output(self, t: Any, x: Any, u: Any) -> Any:
         y = self.inner_output(t, x, u)
         return y._replace(delta_sw=(y.delta_sw - self.offset) / self.gain)
+
+    def seen(self, u: Any) -> Any:
+        return u._replace(doe=self.gain * u.doe + self.offset) if "doe" in u._fields else u
 
     def update(self, t: Any, x: Any, u: Any, y: Any) -> State:
         return super().update(t, x, u, y._replace(delta_sw=self.gain * y.delta_sw + self.offset))

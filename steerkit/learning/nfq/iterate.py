@@ -33,6 +33,10 @@ TRIAL = 60
 CHEAPER = 0.95
 """A new net of a car with overshoot or slew takes over from one of the update before where its drives cost so much of
 that one's [1], from SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
+DEARER = 2.0
+"""How many times as much an action costs there [1]: at a slow car's price, what acts at 10 Hz inside such a car, which
+the learned one does not show, makes successive nets turn the wheel at 20 to 120 deg/s; at three times the price the
+record says too little of the dead time."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
@@ -276,7 +280,8 @@ def iterate(
     if isinstance(problem.cost, TanhCost):
         newest_s = transitions.s[-NEWEST:]
         fast = float(problem.description.excess(np.median(newest_s[:, V])))
-        problem = replace(problem, cost=problem.cost.suited(newest_s[:, E], fast))
+        dearer = DEARER if model is not None and model.feels else 1.0
+        problem = replace(problem, cost=problem.cost.suited(newest_s[:, E], fast, dearer))
     nets: Nets = tuple(nets_before)
     size = 2 if setting.symmetric else 1
     members = [nets[i : i + size] for i in range(0, len(nets), size)]

@@ -9,6 +9,7 @@ import pytest
 
 from steerkit.compiled import compile
 from steerkit.controllers.adaptive import Adaptive
+from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
 from steerkit.controllers.pure_pursuit import PurePursuit
 from steerkit.controllers.stanley import Stanley
 from steerkit.estimators.single_track_filter import SingleTrackFilter
@@ -97,6 +98,22 @@ def test_one_that_takes_turns_learns_from_the_commands_of_others_which_it_sees_a
         found.append(x[-2])
     assert found[0] == pytest.approx(0.15, abs=0.04)
     assert found[1] == pytest.approx(found[0] + 0.05, abs=1e-9)
+
+
+def test_integral_action_stays_as_it_is_while_another_controller_steers_beside_the_path() -> None:
+    law = OffsetFree.around(Stanley.of(PASSAT), PASSAT)
+    block: Any = CommandCompensation(block=adaptive(blocks=(law, law), takes_turns=True), offset=0.05, gain=1.1)
+    x = block.settle(0.0, block.init(), block.U(**HERE, doe=0.0))
+    z = len(law.init()) - 5
+    for k in range(60):
+        own = block.output(0.05 * k, x, block.D(**HERE)).delta_sw
+        sent, before = (own + 0.1, x[z]) if k < 30 else (own, x[z])
+        x = block.update(0.05 * k, x, block.U(**HERE, doe=0.05 if k == 0 else doe), block.Y(own))
+        doe = sent
+        if k <= 30:
+            assert x[z] == 0.0, "the e of another one's drive"
+        else:
+            assert x[z] < before, "it steers itself, and stays left of the path"
 
 
 def test_on_standby_it_keeps_its_estimates_and_learns_nothing_from_its_own_commands() -> None:
