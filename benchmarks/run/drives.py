@@ -21,7 +21,7 @@ from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop, Sample
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.learning.settings import setting
-from steerkit.metrics import measures, step_times
+from steerkit.metrics import measures
 from steerkit.paths.path import Path
 from steerkit.paths.tracker import PathTracker
 from steerkit.scenario import Scenario
@@ -92,7 +92,8 @@ def drive(
     log = _driven(scenario, form, loop, name, policy, tuple(inputs.values()))
     metrics, trajectory = judged(log, scenario, path, loop)
     if timed_steps:
-        metrics |= step_times(_timed(loop.blocks["controller"], log, inputs, timed_steps))
+        times = _timed(loop.blocks["controller"], log, inputs, timed_steps)
+        metrics |= {f"step_p{part}_us": 1e6 * float(np.quantile(times, 0.01 * part)) for part in (50, 99)}
     return Driven(metrics, trajectory)
 
 

@@ -66,11 +66,8 @@ class Supervisor(Block):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(
-            (self.release > 0.0) & (self.release <= self.trip),
-            "Supervisor",
-            f"release = {self.release} m, trip = {self.trip} m, expected 0 < release <= trip",
-        )
+        fits, given = 0.0 < self.release <= self.trip, f"release = {self.release} m, trip = {self.trip} m"
+        require(fits, "Supervisor", f"{given}, expected 0 < release <= trip")
 
     def init(self, batch: tuple[int, ...] = ()) -> SupervisorState:
         return SupervisorState(m.filled(0.0, batch), m.filled(0.0, batch), m.filled(0.0, batch))

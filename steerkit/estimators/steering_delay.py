@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
-from steerkit._support.errors import number, require_within, whole_samples
+from steerkit._support.errors import number, require_within
 from steerkit.diagram import maths as m
 from steerkit.diagram.block import In, Out, State
 from steerkit.diagram.maths import Scalar
@@ -59,8 +59,8 @@ class DelayBank(Bank):
     """Dead time and lag of what follows the steering commands, by least squares for a bank of dead times; abstract.
 
     With w the commands behind a lag L0 = prior_lag (and the car), s = dw/dL0 = -(w - w')/L0 where w' is w behind that
-    lag once more, and h what a free play of 2 degrees between motor and car takes of w, each candidate d = earliest,
-    earliest + dt, ... longest regresses
+    lag once more, and h what a free play of 2 degrees between motor and car takes of w, each candidate d = 0, dt,
+    ... longest regresses
 
         response(t) = a (w - play_share h)(t - d) + b s(t - d) + c h(t - d) + constant
 
@@ -72,14 +72,14 @@ class DelayBank(Bank):
     Without excitation U is the priors' own parabola, so they come out. Where more is left over than the noise explains,
     deviations grow by that.
 
-    A sample is used where all is finite, v is 3 m/s or more, and the commands have acted for longest - earliest +
-    4 L0 + 0.3 s: `active` was 1, |delta_sw_cmd| at most the stop, no faster than `rate_limit`. Else nothing changes.
+    A sample is used where all is finite, v is 3 m/s or more, and the commands have acted for longest + 4 L0 +
+    0.3 s: `active` was 1, |delta_sw_cmd| at most the stop, no faster than `rate_limit`. Else nothing changes.
 
     Outputs, of state only: delay, delay_deviation, lag, lag_deviation, and of their sum delay_lag, delay_lag_deviation
     [s]; delay_valid, lag_valid, delay_lag_valid [1]; missing [1]: 1 where the last sample held a NaN. The sum is known
     far better than its parts, which only fast steering separates. Valid: the deviation is at most `enough` (twice
     that for the parts), the commands explain half of the response's variance, and the sum is not at an end of what the
-    candidates reach, earliest + 0.59 L0 and longest + 2 L0. State: filters, delay lines, moments.
+    candidates reach, 0.59 L0 and longest + 2 L0. State: filters, delay lines, moments.
 
     Source: Ljung 1999, sections 7.3 and 11.2 (regression, forgetting); Golub, Pereyra 1973 (linear parameters solved
     for). openpilot's lag estimation (comma.ai 2025) has the same task and correlates two accelerations.
@@ -101,8 +101,6 @@ class DelayBank(Bank):
     prior_lag_deviation: float = number(0.06, "s", low=1e-4, high=1.0)
     """Its standard deviation [s]."""
     longest: float = 0.75
-    earliest: float = 0.0
-    """Shortest dead time [s], a multiple of dt: below 0 where the response's clock may be early, and waits so long."""
     memory: float = number(120.0, "s", low=1.0, high=1e6)
     enough: float = number(0.02, "s", low=1e-4, high=1.0)
     """Deviation from which on the sum is valid [s]."""
@@ -115,15 +113,13 @@ class DelayBank(Bank):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_within(type(self).__name__, "prior_delay", self.prior_delay, "s", 0.0, self.longest, "0 to longest")
-        whole_samples(type(self).__name__, "-earliest", -self.earliest, self.dt)
 
     @cached_property
     def _line(self) -> int:
-        return round(self.longest / self.dt) + 1 + round(-self.earliest / self.dt)
+        return round(self.longest / self.dt) + 1
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
-        waiting = 3 * round(-self.earliest / self.dt)
-        start = [m.filled(0.0, batch)] * (_FIRST + self._line * (3 + MOMENTS) + waiting)
+        start = [m.filled(0.0, batch)] * (_FIRST + self._line * (3 + MOMENTS))
         start[len(Sums._fields) + _Before._fields.index("speed")] = m.filled(SLOWEST, batch)
         return tuple(start)
 
@@ -140,16 +136,15 @@ class DelayBank(Bank):
         lines = [x[_FIRST + i * n : _FIRST + (i + 1) * n] for i in range(3)]
         *measured, read = self._response(u, before.speed)
         read = m.every(read, m.is_finite(u.v), m.is_finite(u.active))
-        waiting = [*x[_FIRST + (3 + MOMENTS) * n :], *measured, m.where(read, 1.0, 0.0)]
         known = m.is_finite(u.delta_sw_cmd)
         command = m.where(known, u.delta_sw_cmd, before.command)
         turned = m.absolute(command - before.command)
         calm = m.both(m.absolute(command) <= STOP, turned <= self.rate_limit * self.dt)
         acts = m.every(u.active > 0.5, known, calm, u.v >= SLOWEST)
-        settled = before.since * self.dt > self.longest - self.earliest + 4.0 * self.prior_lag + 0.3
-        used = m.every(settled, waiting[2] > 0.5, acts)
+        settled = before.since * self.dt > self.longest + 4.0 * self.prior_lag + 0.3
+        used = m.every(settled, read, acts)
         old = x[_FIRST + 3 * n : _FIRST + (3 + MOMENTS) * n]
-        sums, moments = self._summed(Sums._make(x[: len(Sums._fields)]), old, list(zip(*lines)), waiting[:2], used)
+        sums, moments = self._summed(Sums._make(x[: len(Sums._fields)]), old, list(zip(*lines)), measured, used)
         # filters and lines of the next sample
         speed = m.where(m.is_finite(u.v), m.maximum(u.v, SLOWEST), before.speed)
         keep = math.exp(-self.dt / self.prior_lag)
@@ -163,7 +158,7 @@ class DelayBank(Bank):
         missing = m.where(m.both(read, known), 0.0, 1.0)
         pushed = [value for line, new in zip(lines, fresh) for value in (new, *line[:-1])]
         filters = (command, since, missing, speed, wheel, behind, *cars, w, again)
-        return (*sums, *filters, *pushed, *moments, *waiting[3:])
+        return (*sums, *filters, *pushed, *moments)
 
     def _car_unknown(self, speed: Scalar) -> Scalar:
         """Deviation of what the car's model adds to the delay [s]."""
@@ -174,8 +169,8 @@ class DelayBank(Bank):
         dt, n, precision = self.dt, self._line, (_GAIN, _SHARE, 1.0 / self.prior_lag_deviation**2)
         sums, before = Sums._make(x[:4]), _Before._make(x[4:_FIRST])
         moments = x[_FIRST + 3 * n : _FIRST + (3 + MOMENTS) * n]
-        places = dt, self.prior_delay - self.earliest, self.prior_delay_deviation
-        best, bank = self._best(sums, moments, precision, (1.0, 0.0, 0.0), places)
+        prior_delay = dt, self.prior_delay, self.prior_delay_deviation
+        best, bank = self._best(sums, moments, precision, (1.0, 0.0, 0.0), prior_delay)
         excess, explained, unknown = best.excess, best.explained, self._car_unknown(before.speed)
         gains = [m.maximum(fit.coefficients[0], _LEAST_GAIN) for fit in bank]
         lags = [fit.coefficients[2] / gain for fit, gain in zip(bank, gains)]
@@ -185,7 +180,7 @@ class DelayBank(Bank):
         variance, spread = excess * best.variance * dt * dt, excess * at(best.number, spreads)
         prior = self.prior_lag
         moved = m.clip(here + slope * (best.place - best.number) * dt, -0.41 * prior, prior)
-        both = self.earliest + best.place * dt + prior + moved
+        both = best.place * dt + prior + moved
         first, last = m.both(best.place < 0.5, moved <= -0.41 * prior), m.both(best.place > n - 1.5, moved >= prior)
         lag = m.sqrt(prior * prior + 2.0 * prior * moved - moved * moved)
         stretch = (prior - moved) / m.maximum(lag, 0.1 * prior)  # of the lag over b/a

@@ -270,10 +270,10 @@ def stable_baselines_vec(num_envs: int, **options: Any) -> Any:
         def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
             return [False for _ in self._get_indices(indices)]
 
-        def _one_for_all(self, *_: Any, **__: Any) -> None:
+        def set_attr(self, *_: Any, **__: Any) -> None:
             raise AttributeError("stable_baselines_vec: one loop drives all cars; options are given when it is made")
 
-        set_attr = env_method = _one_for_all
+        env_method = set_attr
 
         def close(self) -> None:
             envs.close()

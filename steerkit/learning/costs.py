@@ -118,12 +118,11 @@ class TanhCost(_Limits):
             action_cost' = min(action_cost*dearer*max(1, fast/dear_from), 1 - step)
 
         The well is _WELL times the median |e| wide, within goal_least*fast and goal. An error of the course leads a
-        fast car off as many times faster, and as an action turns its wheel by a/fast^2, noise is answered with larger
-        ones. With a slow car's well and price, nets at 16 m/s steer up to 1.6 times as restlessly as MPC, at a third
-        of its e; with a price that grows with fast^2 they are up to 2.3 times as far off as a controller told all.
+        fast car off as many times faster. With a slow car's well and price, nets at 16 m/s steer up to 1.6 times as
+        restlessly as MPC; with a price that grows with fast^2 they come 2.3 times as far off as one told all.
         """
-        price = min(self.action_cost * dearer * max(1.0, fast / self.dear_from), 1.0 - self.step)
-        cost = replace(self, action_cost=price)
+        dear = dearer * max(1.0, fast / self.dear_from)
+        cost = replace(self, action_cost=min(self.action_cost * dear, 1.0 - self.step))
         if not self.goal_least or not len(e):
             return cost
         least = min(self.goal, self.goal_least * fast)

@@ -4,7 +4,6 @@ from .drive import GOOD as GOOD
 from .drive import Criterion as Criterion
 from .drive import Summary as Summary
 from .drive import of_log as of_log
-from .drive import step_times as step_times
 from .drive import summary as summary
 from .signals import accelerations as accelerations
 from .signals import largest as largest

@@ -58,18 +58,6 @@ def of_log(log: Log) -> Summary:
     return summary(t=log.t, e=log["path.e"], delta_sw=log["car.delta_sw"], a_y=log["car.a_y"])
 
 
-def step_times(seconds: ArrayLike) -> dict[str, float]:
-    """Median and 99th percentile of a controller's computing times a step [us], by their names in the table.
-
-    seconds (n,): measured, finite, >= 0 [s]. Raises ValueError for others: a clock that was not read is no zero.
-    """
-    times = np.asarray(seconds, dtype=float)
-    if times.ndim != 1 or not len(times) or not (np.isfinite(times) & (times >= 0.0)).all():
-        raise ValueError(f"step_times: shape {times.shape}, expected (n,) with n >= 1 of finite seconds >= 0")
-    median, late = np.quantile(times, [0.5, 0.99])
-    return {"step_p50_us": 1e6 * float(median), "step_p99_us": 1e6 * float(late)}
-
-
 @dataclass(frozen=True, kw_only=True)
 class Criterion:
     """What a drive of so many rounds has to keep to be called good; the bounds themselves are outside."""

@@ -34,9 +34,8 @@ CHEAPER = 0.95
 """A new net of a car with overshoot or slew takes over from one of the update before where its drives cost so much of
 that one's [1], from SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
 DEARER = 2.0
-"""How many times as much an action costs there [1]: at a slow car's price, what acts at 10 Hz inside such a car, which
-the learned one does not show, makes successive nets turn the wheel at 20 to 120 deg/s; at three times the price the
-record says too little of the dead time."""
+"""How many times as much an action costs there [1]: else successive nets turn the wheel at 20 to 120 deg/s, which the
+learned car does not tell apart; at three times the price the record says too little of the dead time."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""

@@ -104,12 +104,11 @@ def test_integral_action_stays_as_it_is_while_another_controller_steers_beside_t
     law = OffsetFree.around(Stanley.of(PASSAT), PASSAT)
     block: Any = CommandCompensation(block=adaptive(blocks=(law, law), takes_turns=True), offset=0.05, gain=1.1)
     x = block.settle(0.0, block.init(), block.U(**HERE, doe=0.0))
-    z = len(law.init()) - 5
+    z, doe = len(law.init()) - 5, 0.05
     for k in range(60):
-        own = block.output(0.05 * k, x, block.D(**HERE)).delta_sw
-        sent, before = (own + 0.1, x[z]) if k < 30 else (own, x[z])
-        x = block.update(0.05 * k, x, block.U(**HERE, doe=0.05 if k == 0 else doe), block.Y(own))
-        doe = sent
+        own, before = block.output(0.05 * k, x, block.D(**HERE)).delta_sw, x[z]
+        x = block.update(0.05 * k, x, block.U(**HERE, doe=doe), block.Y(own))
+        doe = own + 0.1 if k < 30 else own
         if k <= 30:
             assert x[z] == 0.0, "the e of another one's drive"
         else:

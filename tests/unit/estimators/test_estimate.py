@@ -87,7 +87,6 @@ def test_what_others_do_to_the_wheel_and_lost_samples_are_not_used(
         (WheelDelay, dict(prior_delay=0.9), r"prior_delay = 0.9 \[s\], expected 0 to 0.75"),
         (YawDelay, dict(vehicle="vw-passat"), "YawDelay: .*expected a Vehicle"),
         (SteeringFriction, dict(dt=0.2), r"dt = 0.2 \[s\], expected 0.001 to 0.15"),
-        (YawDelay, dict(vehicle=PASSAT, earliest=0.1), r"-earliest = -0.1 \[s\], expected 0 to"),
         (SingleTrackFilter, dict(vehicle="vw-passat"), "expected a Vehicle"),
         (SingleTrackFilter, dict(vehicle=PASSAT, dt=0.5), r"dt = 0.5 \[s\], expected 0.001 to 0.15"),
         (SingleTrackFilter, dict(vehicle=PASSAT, longest=0.52), r"longest = 0.52 \[s\], expected a multiple of dt"),

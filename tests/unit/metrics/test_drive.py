@@ -62,10 +62,3 @@ def test_good_is_a_drive_within_each_of_the_bounds(name: str, bound: float) -> N
 def test_what_is_no_drive_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         metrics.summary(**drive(**changes))
-
-
-def test_step_times_are_quantiles_and_no_missing_measurement() -> None:
-    assert metrics.step_times(np.arange(101) * 1e-6) == pytest.approx({"step_p50_us": 50.0, "step_p99_us": 99.0})
-    for bad in ([], [1e-6, math.nan], [-1e-6]):
-        with pytest.raises(ValueError, match="of finite seconds >= 0"):
-            metrics.step_times(bad)
