@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
+from rich.console import Console
+from rich.progress import Progress
+
 from benchmarks.entries import controller
 from benchmarks.run.drives import Policy, drive, shape
 from benchmarks.run.provenance import digest, provenance
@@ -70,7 +73,8 @@ def run(
     scenarios = {scene.name: scene for one in suites for scene in one.scenarios}
     timed = {one.name: one.timed_steps for one in suites}
     alone = {one.name for one in suites if one.alone}
-    with computing(where) as those:
+    console = Console(stderr=True)
+    with computing(where) as those, Progress(console=console, disable=quiet or not console.is_terminal) as bar:
         store = Store(place)
         store.open(provenance(suites, planned, seeds))
         todo = [job for job in planned if not store.has(job.id)]
@@ -80,6 +84,7 @@ def run(
             [job for job in todo if job.kind == "drive" and job.suite in alone],
         )
         count, tenth = len(planned) - len(todo), max(1, len(planned) // 10)
+        task = bar.add_task("cases", total=len(planned), completed=count)
         if count:
             tell(f"{count} of {len(planned)} cases have finished before; going on")
         for number, phase in enumerate(phases):
@@ -92,8 +97,10 @@ def run(
                 count, case = count + 1, done.case
                 if case.status == "error":
                     tell(f"{case.id}: {case.error}")
-                if count % tenth == 0 or count == len(planned):
-                    tell(f"{count} of {len(planned)} cases: {case.scenario} {case.controller} {case.seed}")
+                told = f"{count} of {len(planned)} cases: {case.scenario} {case.controller} {case.seed}"
+                bar.update(task, completed=count, description=told)
+                if bar.disable and (count % tenth == 0 or count == len(planned)):
+                    tell(told)
     return load_results(place)
 
 
