@@ -33,9 +33,10 @@ TRIAL = 60
 CHEAPER = 0.95
 """A new net of a car with overshoot or slew takes over from one of the update before where its drives cost so much of
 that one's [1], from SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
-DEARER = 2.0
-"""How many times as much an action costs there [1]: else successive nets turn the wheel at 20 to 120 deg/s, which the
-learned car does not tell apart; at three times the price the record says too little of the dead time."""
+DEARER, DEAREST = 16.0, 3.0
+"""How many times as much an action costs there [1], at `fast` times `scaled_from`: DEARER/fast^2, within 1 and DEAREST,
+so that a turn of the wheel costs the same at 8 to 16 m/s. Else successive nets turn the wheel at 20 to 120 deg/s at 8 to
+12 m/s, which the learned car does not tell apart; with 2 at 16 m/s they come too far off."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
@@ -279,7 +280,7 @@ def iterate(
     if isinstance(problem.cost, TanhCost):
         newest_s = transitions.s[-NEWEST:]
         fast = float(problem.description.excess(np.median(newest_s[:, V])))
-        dearer = DEARER if model is not None and model.feels else 1.0
+        dearer = min(max(1.0, DEARER / fast**2), DEAREST) if model is not None and model.feels else 1.0
         problem = replace(problem, cost=problem.cost.suited(newest_s[:, E], fast, dearer))
     nets: Nets = tuple(nets_before)
     size = 2 if setting.symmetric else 1
