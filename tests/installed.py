@@ -41,7 +41,7 @@ def run_suite(binaries: Path, folder: Path, environment: dict[str, str]) -> None
     told = subprocess.run(
         [*steerkit, "golden"], cwd=folder, env=environment, capture_output=True, text=True, timeout=60.0
     )
-    if told.returncode != 2 or "kept in a checkout" not in told.stderr:
+    if told.returncode != 2 or "which only a checkout has" not in told.stderr:
         raise SystemExit(f"`steerkit bench golden` did not say where its numbers are: {told.stderr}")
 
 
