@@ -102,8 +102,8 @@ class TanhCost(_Limits):
     """Cost of a step that moves the steering wheel."""
     action_unit: float = number(0.0, "rad", low=0.0)
     """Action from which a step costs all of that, smaller ones in proportion; 0: all that is not 0 does [rad]."""
-    dear_from: float = number(1.0, "1", low=1.0)
-    """How many times `scaled_from` the speed is from which actions cost more (see `suited`)."""
+    dear_from: float | None = number(None, "1", low=1.0)
+    """Of torque steering: how many times `scaled_from` the speed is from which actions cost more (see `suited`)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -115,14 +115,14 @@ class TanhCost(_Limits):
     def suited(self, e: Array, fast: float = 1.0, dearer: float = 1.0) -> "TanhCost":
         """The cost of driving with errors e (n,) [m] at `fast` times `scaled_from` (1 at least).
 
-            action_cost' = min(action_cost*dearer*max(1, fast/dear_from), 1 - step)
+            action_cost' = min(action_cost*dearer*fast, 1 - step),   or max(1, fast/dear_from)^2 in place of fast
 
         The well is _WELL times the median |e| wide, within goal_least*fast and goal. An error of the course leads a
         fast car off as many times faster. With a slow car's well and price, nets at 16 m/s steer up to 1.6 times as
-        restlessly as MPC; with a price that grows with fast^2 they come 2.3 times as far off as one told all.
+        restlessly as MPC; where an angle steers and the price grows with fast^2, 2.3 times as far off as one told all.
         """
-        dear = dearer * max(1.0, fast / self.dear_from)
-        cost = replace(self, action_cost=min(self.action_cost * dear, 1.0 - self.step))
+        dear = fast if self.dear_from is None else max(1.0, fast / self.dear_from) ** 2
+        cost = replace(self, action_cost=min(self.action_cost * dearer * dear, 1.0 - self.step))
         if not self.goal_least or not len(e):
             return cost
         least = min(self.goal, self.goal_least * fast)

@@ -135,7 +135,7 @@ class Setting:
             return self
         cost = self.cost
         if isinstance(cost, TanhCost):
-            cost = replace(cost, dear_from=cost.dear_from * (self.scaled_from / latest) ** 2)
+            cost = replace(cost, dear_from=(cost.dear_from or 1.0) * (self.scaled_from / latest) ** 2)
         return replace(self, scaled_from=latest, cost=cost)
 
     def recorded(self) -> tuple[str, ...]:

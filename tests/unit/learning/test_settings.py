@@ -58,6 +58,6 @@ def test_where_torque_steers_no_action_asks_for_more_than_its_slew() -> None:
         assert step == pytest.approx(slewed, rel=1e-12)
     ratio = suited.scaled_from / DEFAULT.scaled_from
     assert price_at(10.0, suited) == price_at(5.0, DEFAULT)
-    assert price_at(40.0, suited) == pytest.approx(price_at(40.0, DEFAULT) * ratio)
+    assert price_at(40.0, suited) == pytest.approx(price_at(40.0, DEFAULT) * 5.0 * ratio**2)
     assert DEFAULT.suited(Scenario().design_model()) is DEFAULT
     assert SETTINGS["paper"].suited(scenario.design_model()) is SETTINGS["paper"]
