@@ -34,9 +34,8 @@ CHEAPER = 0.95
 """A new net of a car with overshoot or slew takes over from one of the update before where its drives cost so much of
 that one's [1], from SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
 DEARER, DEAREST = 16.0, 3.0
-"""How many times as much an action costs there [1], at `fast` times `scaled_from`: DEARER/fast^2, within 1 and DEAREST,
-so that a turn of the wheel costs the same at 8 to 16 m/s. Else successive nets turn the wheel at 20 to 120 deg/s at 8 to
-12 m/s, which the learned car does not tell apart; with 2 at 16 m/s they come too far off."""
+"""How many times as much an action costs there [1]: DEARER/fast^2, within 1 and DEAREST. Else successive nets turn the
+wheel at 20 to 120 deg/s at 8 to 12 m/s, which the learned car does not tell apart."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
