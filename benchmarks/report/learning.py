@@ -61,13 +61,11 @@ def _curves(
 ) -> Curves:
     rms_e, good = dict[str, Band](), dict[str, Band]()
     for name, runs in learners.items():
-        rms_e[name] = _band([_held_at(at(c), _rms(c), x, math.inf) for c in runs], lambda rms: interval(rms, np.median))
+        errors = [np.where(np.isfinite(c["rms_e"]) & (c["held"] > 0.5), c["rms_e"], np.inf) for c in runs]
+        held_at = [_held_at(at(c), rms, x, math.inf) for c, rms in zip(runs, errors, strict=True)]
+        rms_e[name] = _band(held_at, lambda rms: interval(rms, np.median))
         good[name] = _band([_held_at(at(c), good_nets(c), x, 0.0) for c in runs], lambda held: share(held > 0.5))
     return Curves(scenario, label, x, rms_e, good, {name: len(runs) for name, runs in learners.items()})
-
-
-def _rms(curve: Curve) -> np.ndarray:
-    return np.where(np.isfinite(curve["rms_e"]) & (curve["held"] > 0.5), curve["rms_e"], np.inf)
 
 
 def _held_at(at: np.ndarray, values: np.ndarray, x: np.ndarray, before: float) -> np.ndarray:

@@ -63,11 +63,7 @@ def run(
     directory of other results, and for a cluster that cannot do it (see `dask_client`); WorkersDiedError when workers
     die again and again.
     """
-
-    def tell(text: str) -> None:
-        if not quiet:
-            say(text)
-
+    tell = (lambda text: None) if quiet else say
     where = Where(backend, address, workers)
     planned = jobs(suites, seeds, only)
     scenarios = {scene.name: scene for one in suites for scene in one.scenarios}
