@@ -196,11 +196,11 @@ class Adaptive(Block):
         standby, ratio = own.standby, own.ratio
         sheet = y._replace(delta_sw=y.delta_sw / ratio)
         sent = u.doe if self.takes_turns else y.delta_sw
-        after: list[State] = []
+        steers, after = m.absolute(sent - own.asked) <= _OWN_COMMAND, list[State]()
         for block, state in zip(self.blocks, states):
             new = block.update(t, state, self._seen(block, block.U, u, ratio), sheet)
             if self.takes_turns and isinstance(block, OffsetFree):
-                new = block.kept(state, new, m.absolute(sent - own.asked) <= _OWN_COMMAND)
+                new = block.kept(state, new, steers)
             after.append(new)
         known = self.steering.output(t, states[-1], ())
         after.append(self.delay.update(t, states[-2], self.delay.U(sent, 1.0 - standby, u.r, u.v), ()))
