@@ -20,8 +20,7 @@ from steerkit.vehicles import Vehicle
 AFTER_FAILURE = ("recovery", "reset")
 GOAL = (0.02,) * 2 + (1.0,) + (0.02,) * 3
 """Half-widths of the hints' region. A last one of 1 would mean that any steering angle may be held at psi_e = 0, which
-is wrong where e is measured at the front axle. `paper`, 6 seeds, 11 minutes: 0.02: a round in all, done after 373 s in
-the median; 1: in half of them; no hints: in two thirds."""
+is wrong where e is measured at the front axle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +38,6 @@ class Setting:
         default_factory=lambda: TanhCost(goal=0.15, goal_least=0.05, action_cost=0.025, action_unit=radians_of(25.0))
     )
     """Cost of a transition: see `steerkit.learning.costs`."""
-    # Measured model-free (8 seeds, clean, 2.5 min): one iteration every 10 to 30 m beats two every 60 m (GOOD after 47
-    # to 63 s); 600 epochs, 4 steps, 20-20 nets: no gain.
     fit: FitSetting = field(
         default_factory=lambda: FitSetting(
             mirror=True,
@@ -65,11 +62,9 @@ class Setting:
     """Distance driven by the learner after which it is trained anew while it drives on [m]; 0: at failures only."""
     fit_seconds: float = number(2.0, "s", low=0.0)
     """Driving time charged for one training [s]: its net can steer that much later."""
-
     calm: float = number(0.3, "m/s", above=0.0)
     """|e_dot| below which a new net takes the wheel over from the recovery controller [m/s]: |e| < 0.1 m may be a fast
-    crossing, and then it fails at once. 0.3 spares half of the first ten failures under `hard` conditions."""
-
+    crossing, and then it fails at once."""
     after_failure: str = "recovery"
     """`recovery`: the analytic controller steers until the new net takes over. `reset`: the car stops and is put back
     on the path where it failed, in `reset_seconds`; then the recovery controller steers until the net is ready."""

@@ -50,14 +50,15 @@ MATTERS = 5e-4
 GAINED = 300.0
 """Twice the log-likelihood by which two cars explain a record better than one, from which on they are two; noise and
 the first, wild seconds make up to 170 of it."""
-AGREES = 1.15
+AGREES = 1.2
 """A car found from where it was steered most, or before, stays while it foresees the newest rows as well as one found
-from them, by this factor: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less gain."""
+from them, by this factor: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, of one that wanders
+1.16, of the Corolla's with less gain 1.2."""
 SETTLED = 1500
 """Samples from which on a car with overshoot or slew stays that was found before: 75 s ..."""
 STAYS = 1.05
-"""... while it foresees the record as well as one found anew, by this factor: calm driving tells little of a car, and
-nets of cars found anew differ threefold in the rate of the wheel."""
+"""... where noise is little, and of what was steered most, by this factor: calm driving tells little of a car, and nets
+of cars found anew differ threefold in the rate of the wheel."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -116,8 +117,8 @@ def process_of(
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
     before: what was found before; a car with overshoot or slew stays while it foresees as well, so that nets which
-    follow on each other are of one car: the record (STAYS), or of a longer one than ROWS, where noise is more than
-    MATTERS, the newest half of those (AGREES). Of a car that has changed, what was recorded before is left out
+    follow on each other are of one car: the record, or of a longer one than ROWS the newest half of those (AGREES, or
+    STAYS where noise is less than MATTERS). Of a car that has changed, what was recorded before is left out
     (`since_change`, `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
@@ -147,7 +148,7 @@ def process_of(
 
         long = fast and len(record) > ROWS
         newest = record.part(slice(-ROWS // 2, None)) if long else record
-        best, model, stays = found(newest, AGREES if long else STAYS)
+        best, model, stays = found(newest, AGREES)
         if long and not stays:  # what was steered most tells more, but is older: is it of the same car?
             of_most, car, _ = found(most_steered(record), STAYS)
             if strays_of(car, aligned(newest, of_most)) <= AGREES * strays_of(model, aligned(newest, best)):
