@@ -50,15 +50,15 @@ MATTERS = 5e-4
 GAINED = 300.0
 """Twice the log-likelihood by which two cars explain a record better than one, from which on they are two; noise and
 the first, wild seconds make up to 170 of it."""
-AGREES = 1.2
-"""A car found from where it was steered most, or before, stays while it foresees the newest rows as well as one found
-from them, by this factor: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, of one that wanders
-1.16, of the Corolla's with less gain 1.2."""
+AGREES = 1.15
+"""A car found from where it was steered most stays while it foresees the newest rows as well as one found from them, by
+this factor, and one found before the newest ROWS: of three minutes behind a Corolla's and a Tesla's port 1.09 at most,
+1.2 with less gain. A car found from the calm half of those foresees that 1.25 times as well, the other 0.44 times."""
 SETTLED = 1500
 """Samples from which on a car with overshoot or slew stays that was found before: 75 s ..."""
 STAYS = 1.05
-"""... where noise is little, and of what was steered most, by this factor: calm driving tells little of a car, and nets
-of cars found anew differ threefold in the rate of the wheel."""
+"""... while it foresees the record as well as one found anew, by this factor: calm driving tells little of a car, and
+nets of cars found anew differ threefold in the rate of the wheel."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -116,41 +116,38 @@ def process_of(
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
-    before: what was found before; a car with overshoot or slew stays while it foresees as well, so that nets which
-    follow on each other are of one car: the record, or of a longer one than ROWS the newest half of those (AGREES, or
-    STAYS where noise is less than MATTERS). Of a car that has changed, what was recorded before is left out
-    (`since_change`, `since_other_gain`).
+    before: what was found before; a car with overshoot or slew stays while it foresees the newest ROWS as well, so that
+    nets which follow on each other are of one car (STAYS; of a longer record with noise over MATTERS, AGREES). Of a car
+    that has changed, what was recorded before is left out (`since_change`, `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
-    most = min(LONGEST, round(longest / DT))
+    known = before if fast and before is not None and before.feels else None
+    much, most = len(record) > ROWS, min(LONGEST, round(longest / DT))
     record = since_change(record, most)
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
         newest = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
-        if len(newest) >= SETTLED or before is None or not before.feels:  # wander, too, looks like another gain
+        if len(newest) >= SETTLED or known is None:  # wander, too, looks like another gain
             record = newest
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
 
-        def found(rows: Transitions, within: float) -> tuple[int, CarModel, bool]:
-            """Dead time and car of some rows, and whether they are those of before and noise hides any others."""
+        def found(rows: Transitions) -> tuple[int, CarModel]:
+            """Dead time and car of some rows."""
             best = dead_time_of(rows, most, description.scaled_from, 0 if before is None else before.samples)
             part = aligned(rows, best)
             model = refined(CarModel.fit(part, description, fast=fast), part)
-            model = overshooting(model, part, description, before) if fast else model
-            if not fast or before is None or not before.feels or len(rows) < SETTLED:
-                return best, model, False
-            old = replace(model, **{name: getattr(before, name) for name in _CAR})
-            error = strays_of(model, part)
-            noisy = error > MATTERS
-            if strays_of(old, aligned(rows, before.samples)) <= (within if noisy else STAYS) * error:
-                return before.samples, old, noisy
-            return best, model, False
+            return best, overshooting(model, part, description, before) if fast else model
 
         long = fast and len(record) > ROWS
         newest = record.part(slice(-ROWS // 2, None)) if long else record
-        best, model, stays = found(newest, AGREES)
-        if long and not stays:  # what was steered most tells more, but is older: is it of the same car?
-            of_most, car, _ = found(most_steered(record), STAYS)
+        best, model = found(newest)
+        error = strays_of(model, aligned(record, best))
+        within = AGREES if much and error > MATTERS else STAYS
+        old = replace(model, **{name: getattr(known or model, name) for name in _CAR})
+        if known and len(record) >= SETTLED and strays_of(old, aligned(record, known.samples)) <= within * error:
+            best, model = known.samples, old
+        elif long:  # what was steered most tells more, but is older: is it of the same car?
+            of_most, car = found(most_steered(record))
             if strays_of(car, aligned(newest, of_most)) <= AGREES * strays_of(model, aligned(newest, best)):
                 best, model = of_most, car
     else:
