@@ -52,8 +52,8 @@ GAINED = 300.0
 the first, wild seconds make up to 170 of it."""
 AGREES = 1.2
 """A car found from where it was steered most stays while it foresees the newest rows as well as one found from them, by
-this factor, and one found before the newest ROWS: of three minutes behind a Corolla's and a Tesla's port 1.09 at most,
-1.2 with less gain; of a torque car 1.16. A car found from the calm half of those foresees that 1.25 times as well, the other 0.44 times."""
+this factor, and one found before the newest ROWS: behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less
+gain; of a torque car 1.16. One found from the calm half of those foresees that 1.25 times as well, the other 0.44."""
 SETTLED = 1500
 """Samples from which on a car with overshoot or slew stays that was found before: 75 s ..."""
 STAYS = 1.05
