@@ -112,17 +112,17 @@ class TanhCost(_Limits):
         narrow, wide = self.goal_least, self.goal
         require(narrow <= wide, "TanhCost", f"goal_least = {narrow}, goal = {wide} [m], expected goal_least <= goal")
 
-    def suited(self, e: Array, fast: float = 1.0) -> "TanhCost":
+    def suited(self, e: Array, fast: float = 1.0, dearer: float = 1.0) -> "TanhCost":
         """The cost of driving with errors e (n,) [m] at `fast` times `scaled_from` (1 at least).
 
-            action_cost' = min(action_cost*fast, 1 - step),   or max(1, fast/dear_from)^2 in place of fast
+            action_cost' = min(action_cost*dearer*fast, 1 - step),   or max(1, fast/dear_from)^2 in place of fast
 
         The well is _WELL times the median |e| wide, within goal_least*fast and goal. An error of the course leads a
         fast car off as many times faster. With a slow car's, nets at 16 m/s steer more restlessly than MPC; by angle, a
         price that grows with fast^2 leaves them further off.
         """
         dear = fast if self.dear_from is None else max(1.0, fast / self.dear_from) ** 2
-        cost = replace(self, action_cost=min(self.action_cost * dear, 1.0 - self.step))
+        cost = replace(self, action_cost=min(self.action_cost * dearer * dear, 1.0 - self.step))
         if not self.goal_least or not len(e):
             return cost
         least = min(self.goal, self.goal_least * fast)

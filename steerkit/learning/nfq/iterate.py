@@ -37,6 +37,8 @@ ALIKE = 1.5
 they differ tenfold in the rate of the wheel and hardly in e ..."""
 CALMER = 0.9
 """... new ones, from SETTLED on, where they turn the wheel by so much of what one of the update before does [1]."""
+DEARER, DEAREST = 16.0, 3.0
+"""How many times as much an action costs there [1]: DEARER/fast^2, within 1 and DEAREST."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
@@ -279,7 +281,8 @@ def iterate(
     if isinstance(problem.cost, TanhCost):
         newest_s = transitions.s[-NEWEST:]
         fast = float(problem.description.excess(np.median(newest_s[:, V])))
-        problem = replace(problem, cost=problem.cost.suited(newest_s[:, E], fast))
+        dearer = min(max(1.0, DEARER / fast**2), DEAREST) if model is not None and model.feels else 1.0
+        problem = replace(problem, cost=problem.cost.suited(newest_s[:, E], fast, dearer))
     nets: Nets = tuple(nets_before)
     size = 2 if setting.symmetric else 1
     members = [nets[i : i + size] for i in range(0, len(nets), size)]

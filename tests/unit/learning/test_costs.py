@@ -45,8 +45,8 @@ def test_a_well_is_as_wide_as_the_driving_is_good() -> None:
 
 def test_noise_makes_a_fast_car_dearer_to_steer_until_steering_costs_as_much_as_failing() -> None:
     cost = TanhCost(action_cost=0.02)
-    costs = [cost.suited(np.zeros(3), fast) for fast in (1.0, 2.0, 3.0, 100.0)]
-    assert [cost.action_cost for cost in costs] == pytest.approx([0.02, 0.04, 0.06, 0.96])
+    costs = [cost.suited(np.zeros(3), fast) for fast in (1.0, 2.0, 3.0, 100.0)] + [cost.suited(np.zeros(3), 2.0, 3.0)]
+    assert [cost.action_cost for cost in costs] == pytest.approx([0.02, 0.04, 0.06, 0.96, 0.12])
     torque = [TanhCost(action_cost=0.02, dear_from=2.0).suited(np.zeros(3), fast) for fast in (1.5, 3.0, 100.0)]
     assert [cost.action_cost for cost in torque] == pytest.approx([0.02, 0.045, 0.96])
     assert all(cost.suited(np.zeros(0)) == cost for cost in costs)

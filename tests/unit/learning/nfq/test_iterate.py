@@ -27,10 +27,11 @@ from steerkit.learning.nfq.iterate import (
 )
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.nfq.rprop import Fit, Net, fit, flat, forward
-from tests.support.modelled_car import driven
+from tests.support.modelled_car import CAR, driven
 from tests.support.records import ACTIONS, chain, level, recorded
 
 PAPERS, BAND = FitSetting(), BandCost()
+TORQUE = replace(CAR, slew=4.0)
 
 
 def problem(cost: Cost = BAND, **fit: Any) -> Problem:
@@ -48,6 +49,21 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, np.ndarray
 
     monkeypatch.setattr(nfq, "fit", watched)
     return seen
+
+
+def test_a_turn_of_a_torque_cars_wheel_is_dearer_up_to_three_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, prices, suited = driven(n=40), list[float](), TanhCost.suited
+    v = float(np.median(record.s[:, 2]))
+
+    def watched(cost: TanhCost, *how: Any) -> TanhCost:
+        prices.append(suited(cost, *how).action_cost)
+        return suited(cost, *how)
+
+    monkeypatch.setattr(TanhCost, "suited", watched)
+    for car, fast in ((CAR, 2.0), (TORQUE, 1.0), (TORQUE, 3.0), (TORQUE, 5.0)):
+        asked = problem(TanhCost(action_cost=0.02), nets=1, epochs=0, imagined=10)
+        iterate(record, replace(asked, description=StateDescription(scaled_from=v / fast)), model=car)
+    assert prices == pytest.approx([0.02 * 2.0, 0.02 * 3.0, 0.02 * 3.0 * 16.0 / 9.0, 0.02 * 5.0])
 
 
 def test_what_another_than_the_learner_did_is_no_action_of_its_own() -> None:
