@@ -50,10 +50,10 @@ MATTERS = 5e-4
 GAINED = 300.0
 """Twice the log-likelihood by which two cars explain a record better than one, from which on they are two; noise and
 the first, wild seconds make up to 170 of it."""
-AGREES = 1.2
+AGREES = 1.1
 """A car found from where it was steered most stays while it foresees the newest rows as well as one found from them, by
 this factor, and one found before the newest ROWS: behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less
-gain; of a torque car 1.16. One found from the calm half of those foresees that 1.25 times as well, the other 0.44."""
+gain. One found from the calm half of those foresees that up to 1.25 times as well, and the other half 0.44 times."""
 SETTLED = 1500
 """Samples from which on a car with overshoot or slew stays that was found before: 75 s ..."""
 STAYS = 1.05
@@ -75,11 +75,9 @@ TRUST = 0.25
 """Share of what is seen in the filtered w and r_e (see `DelayCompensator`) ..."""
 TRUST_COURSE = 0.1
 """... and, of a fast car, in e and c where they are noise (see `trust_in_course`)."""
-TAKEN_BACK = 0.05
-"""Correlation of what a model did not foresee of c with that of the sample before: noise if it is below that, negative
-..."""
-CERTAIN = 2.0
-"""... by that many standard errors."""
+TAKEN_BACK, CERTAIN = 0.05, 2.0
+"""Correlation of what a model did not foresee of c with that of the sample before: noise if it is below that, negative,
+by so many standard errors."""
 
 
 LEADS = (0.3, 0.6, 1.2, 2.4)

@@ -32,9 +32,9 @@ TRIAL = 60
 """Samples of each."""
 LATER = 3
 """By how many samples commands are later there than was found, where the car has overshoot or slew."""
-ALIKE = 1.5
-"""Of nets whose drives on such a car cost no more than so many times the least, the calmest are taken: on the true car
-they differ tenfold in the rate of the wheel and hardly in e ..."""
+ALIKE = 1.25
+"""Of nets that cost so many times the least there, or less, the calmest are taken: on the true car, the rates of the
+wheel of such nets differ tenfold, e hardly ..."""
 CALMER = 0.9
 """... new ones, from SETTLED on, where they turn the wheel by so much of what one of the update before does [1]."""
 DEARER, DEAREST = 16.0, 3.0
@@ -259,14 +259,14 @@ def iterate(
     seed: int = 0,
     model: CarModel | None = None,
     samples: int = 0,
+    stay: bool = True,
 ) -> Nets:
     """One update of the Q-function: `fit.iterations` rounds of new targets and a new fit of every net.
 
-    Takes the recorded transitions, the problem, and the nets of the update before (none at first: the targets are then
-    the costs alone). Returns the new nets, for `NfqPolicy(nets=...)` and for the next update. The result depends on its
-    arguments, engine and machine only. model: of the car, for `imagined`; default: fitted; samples: its dead time, for
-    `trials`. Two members train at once where two cores are there. Raises ValueError for no transitions, unlike columns,
-    or nets of another layout than the problem's. Source: Riedmiller 2005 (NFQ), batch with Rprop.
+    nets_before: of the update before (none at first: the targets are then the costs alone); stay: may they go on?
+    model: of the car, for `imagined`; default: fitted; samples: its dead time, for `trials`. The result depends on its
+    arguments, engine and machine only. Two members train at once where two cores are there. Raises ValueError for no
+    transitions, unlike columns, or nets of another layout than the problem's. Source: Riedmiller 2005 (NFQ, Rprop).
     """
     where, setting, names = "nfq.iterate", problem.fit, problem.description.names
     require(len(transitions) > 0, where, "no transitions, expected at least one; drive (or load) an episode first")
@@ -285,7 +285,7 @@ def iterate(
         problem = replace(problem, cost=problem.cost.suited(newest_s[:, E], fast, dearer))
     nets: Nets = tuple(nets_before)
     size = 2 if setting.symmetric else 1
-    members = [nets[i : i + size] for i in range(0, len(nets), size)]
+    members = [nets[i : i + size] for i in range(0, len(nets) if stay else 0, size)]
     known = None if model is None else explained(model, transitions)
     for iteration in range(setting.iterations):
         x, y = _patterns(problem, transitions, nets, known, [seed, iteration])
@@ -299,7 +299,7 @@ def iterate(
         costs, turns = trials(problem, known, members, np.random.default_rng([seed, 2_000_003]), samples)
         if known.model.feels:
             if len(transitions) >= SETTLED:
-                turns[len(nets_before) // size :] /= CALMER
+                turns[-setting.iterations * setting.nets :] /= CALMER
             costs = np.where(costs <= ALIKE * np.sort(costs)[: setting.nets].max(), turns, math.inf)
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets
@@ -308,8 +308,7 @@ def iterate(
 def trials(
     problem: Problem, known: Explained, members: Sequence[Nets], rng: np.random.Generator, samples: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean cost and |action| [rad] of a sample (members,) with each member of an ensemble alone at the wheel of the
-    learned car.
+    """Mean cost and |action| [rad] of a sample (members,) with each member alone at the wheel of the learned car.
 
     TRIALS drives of TRIAL samples, or until they fail, which costs 1 a sample from then on. All members meet the same:
     what the model left unexplained of the record (noise, bends, changes of speed), in the order in which it was
@@ -421,5 +420,7 @@ def update(transitions: Transitions, problem: Problem, before: Learned, seed: in
     if not problem.fit.dead_time:
         return Learned(iterate(transitions, problem, before.nets, seed))
     process = process_of(transitions, problem.description, problem.fit.dead_time, before.forecast)
-    nets = iterate(process.record, problem, before.nets, seed, process.model, process.forecast.samples)
-    return Learned(nets, process.forecast)
+    found, known = process.forecast, before.forecast
+    other = found.feels and (known is None or replace(found, trust_course=known.trust_course) != known)
+    nets = iterate(process.record, problem, before.nets, seed, process.model, found.samples, not other)
+    return Learned(nets, found)

@@ -142,7 +142,7 @@ class CarModel(SteeringAnswer):
         return self.turned(s, self.wheel(s[:, DOE], a), earlier, felt)
 
     def wheel(self, doe: Array, a: Array) -> Array:
-        """doe one sample after `doe` (n,) under the actions a (n,) [rad]."""
+        """doe one sample later, under the actions a; each (n,) [rad]."""
         return np.clip(self.held * doe + self.pushed * a, -self.limit, self.limit)
 
     def turned(self, s: Array, doe_next: Array, earlier: Array, felt: Felt | None = None) -> Array:
