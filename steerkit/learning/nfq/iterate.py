@@ -17,13 +17,11 @@ from steerkit.controllers.nfq_policy import NfqPolicy, mean_of
 from steerkit.controllers.policy import ACTION, DOE, E, StateDescription, V
 from steerkit.learning.costs import Cost, Costs, TanhCost
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.dead_time import SETTLED, process_of
+from steerkit.learning.nfq.dead_time import NEWEST, SETTLED, process_of
 from steerkit.learning.nfq.model import CarModel, Explained, Imagined, explained, imagine, near_path
 from steerkit.learning.nfq.rprop import Net, engine_of, fit, new_net, predictor, sizes_of
 from steerkit.task import DT, RELEASE
 
-NEWEST = 600
-"""Samples by which it is judged how good the driving is: 30 s."""
 TRIALS = 40
 """Drives on the learned car by which a net is judged."""
 FAR = 8
@@ -259,11 +257,10 @@ def iterate(
     seed: int = 0,
     model: CarModel | None = None,
     samples: int = 0,
-    stay: bool = True,
 ) -> Nets:
     """One update of the Q-function: `fit.iterations` rounds of new targets and a new fit of every net.
 
-    nets_before: of the update before (none at first: the targets are then the costs alone); stay: may they go on?
+    nets_before: of the update before (none at first: the targets are then the costs alone).
     model: of the car, for `imagined`; default: fitted; samples: its dead time, for `trials`. The result depends on its
     arguments, engine and machine only. Two members train at once where two cores are there. Raises ValueError for no
     transitions, unlike columns, or nets of another layout than the problem's. Source: Riedmiller 2005 (NFQ, Rprop).
@@ -285,7 +282,7 @@ def iterate(
         problem = replace(problem, cost=problem.cost.suited(newest_s[:, E], fast, dearer))
     nets: Nets = tuple(nets_before)
     size = 2 if setting.symmetric else 1
-    members = [nets[i : i + size] for i in range(0, len(nets) if stay else 0, size)]
+    members = [nets[i : i + size] for i in range(0, len(nets), size)]
     known = None if model is None else explained(model, transitions)
     for iteration in range(setting.iterations):
         x, y = _patterns(problem, transitions, nets, known, [seed, iteration])
@@ -299,7 +296,7 @@ def iterate(
         costs, turns = trials(problem, known, members, np.random.default_rng([seed, 2_000_003]), samples)
         if known.model.feels:
             if len(transitions) >= SETTLED:
-                turns[-setting.iterations * setting.nets :] /= CALMER
+                turns[len(nets_before) // size :] /= CALMER
             costs = np.where(costs <= ALIKE * np.sort(costs)[: setting.nets].max(), turns, math.inf)
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets
@@ -420,7 +417,5 @@ def update(transitions: Transitions, problem: Problem, before: Learned, seed: in
     if not problem.fit.dead_time:
         return Learned(iterate(transitions, problem, before.nets, seed))
     process = process_of(transitions, problem.description, problem.fit.dead_time, before.forecast)
-    found, known = process.forecast, before.forecast
-    other = found.feels and (known is None or replace(found, trust_course=known.trust_course) != known)
-    nets = iterate(process.record, problem, before.nets, seed, process.model, found.samples, not other)
-    return Learned(nets, found)
+    nets = iterate(process.record, problem, before.nets, seed, process.model, process.forecast.samples)
+    return Learned(nets, process.forecast)

@@ -8,14 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.controllers.policy import StateDescription
 from steerkit.learning.costs import BandCost, Cost, TanhCost
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
-from steerkit.learning.nfq.dead_time import Process
 from steerkit.learning.nfq.iterate import (
-    NOTHING_LEARNED,
     STANDARD,
     FitSetting,
     Learned,
@@ -27,7 +24,6 @@ from steerkit.learning.nfq.iterate import (
     mirror_patterns,
     patterns,
     targets,
-    update,
 )
 from steerkit.learning.nfq.model import CarModel
 from steerkit.learning.nfq.rprop import Fit, Net, fit, flat, forward
@@ -228,26 +224,6 @@ def test_where_steering_overshoots_a_net_takes_over_that_is_calmer_and_about_as_
     car = replace(CarModel.fit(record, asked.description), fast=1.0, lead=lead)
     after = iterate(record, asked, before, seed=1, model=car)
     assert (after[0] is before[0]) is stay
-
-
-def test_where_another_car_is_found_nets_of_the_one_before_do_not_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They count wheel and forecast from that one; a car that does not overshoot is found anew in every update."""
-    record, asked, seen = driven(n=40), problem(nets=1, epochs=0, imagined=10, dead_time=0.1), list[int]()
-
-    def trials(problem: Problem, known: object, members: Any, *how: Any) -> np.ndarray:
-        seen.append(len(members))
-        return np.ones((2, len(members)))
-
-    monkeypatch.setattr(nfq, "trials", trials)
-    for lead in (0.0, 0.6):
-        car = replace(CarModel.fit(record, asked.description), fast=1.0, lead=lead)
-        cars = ((1.0, 1.0), (1.0, 0.1), (2.0, 1.0))
-        forecasts = [DelayCompensator(samples=1, lead=lead, now=now, trust_course=trust) for now, trust in cars]
-        before = NOTHING_LEARNED
-        for forecast in forecasts:
-            monkeypatch.setattr(nfq, "process_of", lambda *_, f=forecast, car=car: Process(record, car, f))
-            before = update(record, asked, before)
-    assert seen == [1, 2, 2, 1, 2, 1]
 
 
 @pytest.mark.parametrize(
