@@ -141,12 +141,13 @@ def process_of(
         long = fast and len(record) > ROWS
         newest = record.part(slice(-ROWS // 2, None)) if long else record
         best, model = found(newest)
-        error = strays_of(model, aligned(record, best))
-        within = AGREES if much and error > MATTERS else STAYS
         old = replace(model, **{name: getattr(known or model, name) for name in _CAR})
-        if known and (
-            as_good or (len(record) >= SETTLED and strays_of(old, aligned(record, known.samples)) <= within * error)
-        ):
+        stays = as_good
+        if known and not as_good and len(record) >= SETTLED:
+            error = strays_of(model, aligned(record, best))
+            within = error * (AGREES if much and error > MATTERS else STAYS)
+            stays = strays_of(old, aligned(record, known.samples)) <= within
+        if known and stays:
             best, model = known.samples, old
         elif long:  # what was steered most tells more, but is older: is it of the same car?
             of_most, car = found(most_steered(record))
