@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.controllers.delay_compensator import ANSWER, FELT, LONGEST, UNLIMITED, DelayCompensator
-from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, StateDescription, V
+from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, StateDescription, V
 from steerkit.diagram.maths import Array
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import (
@@ -55,8 +55,10 @@ SETTLED, STAYS = 1500, 1.05
 one found anew, by that factor: calm driving tells little, and nets of cars found anew turn the wheel unlike fast."""
 AGREES = 1.1
 """The factor of records of more than ROWS with noise over MATTERS, and of a car found from where it was steered most:
-behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less gain. One found from the newest half alone foresees
-that up to 1.25 times as well, and the half before 0.44 times."""
+behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less gain."""
+WORSE, NEWEST = 1.5, 600
+"""There it stays, too, while the median |e| of the newest 600 samples (30 s) is less than 1.5 times that of the ROWS
+before: what seems another car, driven as well, is wander."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -112,14 +114,16 @@ def process_of(
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
-    before: what was found before; a car with overshoot or slew stays while it foresees the newest ROWS as well, so that
-    nets which follow on each other are of one car (STAYS, AGREES). Of a car that has changed, what was recorded before
-    is left out (`since_change`, `since_other_gain`).
+    before: what was found before; a car with overshoot or slew stays while it foresees the newest ROWS as well, or is
+    driven as well, so that nets which follow on each other are of one car (STAYS, AGREES, WORSE). Of a car that has
+    changed, what was recorded before is left out (`since_change`, `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
     known = before if fast and before is not None and before.feels else None
     much, most = len(record) > ROWS, min(LONGEST, round(longest / DT))
+    older, newer = np.split(np.abs(record.s[-ROWS - NEWEST :, E]), [-NEWEST])
+    as_good = much and float(np.median(newer)) < WORSE * float(np.median(older))
     record = since_change(record, most)
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
         newest = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
@@ -137,14 +141,15 @@ def process_of(
         long = fast and len(record) > ROWS
         newest = record.part(slice(-ROWS // 2, None)) if long else record
         best, model = found(newest)
-        stays = False
-        if known and len(record) >= SETTLED:
+        old = replace(model, **{name: getattr(known or model, name) for name in _CAR})
+        stays = as_good
+        if known and not as_good and len(record) >= SETTLED:
             error = strays_of(model, aligned(record, best))
-            within = AGREES if much and error > MATTERS else STAYS
-            old = replace(model, **{name: getattr(known, name) for name in _CAR})
-            if stays := strays_of(old, aligned(record, known.samples)) <= within * error:
-                best, model = known.samples, old
-        if long and not stays:  # what was steered most tells more, but is older: is it of the same car?
+            within = error * (AGREES if much and error > MATTERS else STAYS)
+            stays = strays_of(old, aligned(record, known.samples)) <= within
+        if known and stays:
+            best, model = known.samples, old
+        elif long:  # what was steered most tells more, but is older: is it of the same car?
             of_most, car = found(most_steered(record))
             if strays_of(car, aligned(newest, of_most)) <= AGREES * strays_of(model, aligned(newest, best)):
                 best, model = of_most, car

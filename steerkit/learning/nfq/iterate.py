@@ -17,13 +17,11 @@ from steerkit.controllers.nfq_policy import NfqPolicy, mean_of
 from steerkit.controllers.policy import ACTION, DOE, E, StateDescription, V
 from steerkit.learning.costs import Cost, Costs, TanhCost
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.dead_time import SETTLED, process_of
+from steerkit.learning.nfq.dead_time import NEWEST, SETTLED, process_of
 from steerkit.learning.nfq.model import CarModel, Explained, Imagined, explained, imagine, near_path
 from steerkit.learning.nfq.rprop import Net, engine_of, fit, new_net, predictor, sizes_of
 from steerkit.task import DT, RELEASE
 
-NEWEST = 600
-"""Samples by which it is judged how good the driving is: 30 s."""
 TRIALS = 40
 """Drives on the learned car by which a net is judged."""
 FAR = 8

@@ -364,15 +364,20 @@ def test_where_steering_is_slow_a_car_stays_while_it_foresees_the_newest_rows_ab
     assert (replace(found, trust_course=first.trust_course) == first) is stays
 
 
-@pytest.mark.parametrize(("since", "stays"), [(ROWS // 2, True), (ROWS, False)])
-def test_another_car_that_is_seen_for_a_while_is_not_believed(
-    since: int, stays: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("since", "worse", "stays"), [(ROWS // 2, 2.0, True), (ROWS, 2.0, False), (ROWS, 1.0, True), (ROWS, 1.4, True)]
+)
+def test_another_car_that_is_seen_for_a_while_or_drives_as_well_is_not_believed(
+    since: int, worse: float, stays: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One found from the newest half foresees that better, and the half before worse."""
     monkeypatch.setattr(dead_time, "since_other_gain", lambda record, _: record)
     other, how = replace(FAST, now=0.9 * FAST.now, before=0.9 * FAST.before), {"speeds": (12.0, 24.0), "noise": 0.005}
     record = after(late(4, car=FAST, n=ROWS + 400 - since, **how), late(4, car=other, n=since, seed=1, **how))
-    found = process_of(record, DESCRIPTION, 0.6, first := found_at_first()).forecast
+    s = record.s.copy()
+    s[:, 0] = 0.1 * np.where(np.arange(len(s)) < len(s) - 600, 1.0, worse)
+    driven = Transitions(record.names, s, record.a, record.s_next, record.episode, record.own)
+    found = process_of(driven, DESCRIPTION, 0.6, first := found_at_first()).forecast
     assert (found.now == first.now) is stays
 
 
