@@ -53,12 +53,12 @@ the first, wild seconds make up to 170 of it."""
 SETTLED, STAYS = 1500, 1.05
 """From so many samples on (75 s), a car with overshoot or slew that was found before stays while it foresees as well as
 one found anew, by that factor: calm driving tells little, and nets of cars found anew turn the wheel unlike fast."""
-AGREES = 1.1
-"""The factor of records of more than ROWS with noise over MATTERS, and of a car found from where it was steered most:
+KEPT, AGREES = 1.1, 1.15
+"""The factors of records of more than ROWS with noise over MATTERS, and of a car found from where it was steered most:
 behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less gain."""
 WORSE, NEWEST = 1.5, 600
-"""There it stays, too, while the median |e| of the newest 600 samples (30 s) is less than 1.5 times that of the ROWS
-before: what seems another car, driven as well, is wander."""
+"""There it stays, too, while the learner has steered for 600 samples (30 s) with a median |e| of less than 1.5 times
+that of the ROWS before: what seems another car, driven as well, is wander."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -115,7 +115,7 @@ def process_of(
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
     before: what was found before; a car with overshoot or slew stays while it foresees the newest ROWS as well, or is
-    driven as well, so that nets which follow on each other are of one car (STAYS, AGREES, WORSE). Of a car that has
+    driven as well, so that nets which follow on each other are of one car (STAYS, KEPT, WORSE). Of a car that has
     changed, what was recorded before is left out (`since_change`, `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
@@ -123,7 +123,7 @@ def process_of(
     known = before if fast and before is not None and before.feels else None
     much, most = len(record) > ROWS, min(LONGEST, round(longest / DT))
     older, newer = np.split(np.abs(record.s[-ROWS - NEWEST :, E]), [-NEWEST])
-    as_good = much and float(np.median(newer)) < WORSE * float(np.median(older))
+    as_good = much and bool(record.own[-NEWEST:].all() and np.median(newer) < WORSE * np.median(older))
     record = since_change(record, most)
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
         newest = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
@@ -145,13 +145,14 @@ def process_of(
         stays = as_good
         if known and not as_good and len(record) >= SETTLED:
             error = strays_of(model, aligned(record, best))
-            within = error * (AGREES if much and error > MATTERS else STAYS)
+            within = error * (KEPT if much and error > MATTERS else STAYS)
             stays = strays_of(old, aligned(record, known.samples)) <= within
         if known and stays:
             best, model = known.samples, old
         elif long:  # what was steered most tells more, but is older: is it of the same car?
             of_most, car = found(most_steered(record))
-            if strays_of(car, aligned(newest, of_most)) <= AGREES * strays_of(model, aligned(newest, best)):
+            within = (KEPT if known else AGREES) * strays_of(model, aligned(newest, best))
+            if strays_of(car, aligned(newest, of_most)) <= within:
                 best, model = of_most, car
     else:
         best, part, model = _of_others(record, description, most, fast)
