@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steerkit.controllers.delay_compensator import ANSWER, FELT, LONGEST, UNLIMITED, DelayCompensator
-from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, E, StateDescription, V
+from steerkit.controllers.policy import COLUMNS, DOE, E_DOT, PSI_E, R_E, StateDescription, V
 from steerkit.diagram.maths import Array
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq.model import (
@@ -50,15 +50,14 @@ MATTERS = 5e-4
 GAINED = 300.0
 """Twice the log-likelihood by which two cars explain a record better than one, from which on they are two; noise and
 the first, wild seconds make up to 170 of it."""
-SETTLED, STAYS = 1500, 1.05
-"""From so many samples on (75 s), a car with overshoot or slew that was found before stays while it foresees as well as
-one found anew, by that factor: calm driving tells little, and nets of cars found anew turn the wheel unlike fast."""
-KEPT, AGREES = 1.1, 1.15
-"""The factors of records of more than ROWS with noise over MATTERS, and of a car found from where it was steered most:
-behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less gain."""
-WORSE, NEWEST = 1.5, 600
-"""There it stays, too, while the learner has steered for 600 samples (30 s) with a median |e| of less than 1.5 times
-that of the ROWS before: what seems another car, driven as well, is wander."""
+AGREES = 1.15
+"""A car found from where it was steered most, or before, stays while it foresees the newest rows as well as one found
+from them, by this factor: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less gain."""
+SETTLED = 1500
+"""Samples from which on a car with overshoot or slew stays that was found before: 75 s ..."""
+STAYS = 1.05
+"""... while it foresees the record as well as one found anew, by this factor: calm driving tells little of a car, and
+nets of cars found anew differ threefold in the rate of the wheel."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -75,9 +74,11 @@ TRUST = 0.25
 """Share of what is seen in the filtered w and r_e (see `DelayCompensator`) ..."""
 TRUST_COURSE = 0.1
 """... and, of a fast car, in e and c where they are noise (see `trust_in_course`)."""
-TAKEN_BACK, CERTAIN = 0.05, 2.0
-"""Correlation of what a model did not foresee of c with that of the sample before: noise if it is below that, negative,
-by so many standard errors."""
+TAKEN_BACK = 0.05
+"""Correlation of what a model did not foresee of c with that of the sample before: noise if it is below that, negative
+..."""
+CERTAIN = 2.0
+"""... by that many standard errors."""
 
 
 LEADS = (0.3, 0.6, 1.2, 2.4)
@@ -114,45 +115,42 @@ def process_of(
     """The process without dead time behind recorded transitions, and the dead time, up to `longest` [s].
 
     record: with the column kappa. One with speeds above the description's `scaled_from` is of a fast car (see `moved`).
-    before: what was found before; a car with overshoot or slew stays while it foresees the newest ROWS as well, or is
-    driven as well, so that nets which follow on each other are of one car (STAYS, KEPT, WORSE). Of a car that has
-    changed, what was recorded before is left out (`since_change`, `since_other_gain`).
+    before: what was found before; a car with overshoot or slew stays while it foresees as well, so that nets which
+    follow on each other are of one car: the record (STAYS), or of a longer one than ROWS, where noise is more than
+    MATTERS, the newest half of those (AGREES). Of a car that has changed, what was recorded before is left out
+    (`since_change`, `since_other_gain`).
     """
     fast = bool(record.s[:, V].max(initial=0.0) > description.scaled_from)
     record = with_heading_of_yaw_rate(record) if fast else record
-    known = before if fast and before is not None and before.feels else None
-    much, most = len(record) > ROWS, min(LONGEST, round(longest / DT))
-    older, newer = np.split(np.abs(record.s[-ROWS - NEWEST :, E]), [-NEWEST])
-    as_good = much and bool(record.own[-NEWEST:].all() and np.median(newer) < WORSE * np.median(older))
+    most = min(LONGEST, round(longest / DT))
     record = since_change(record, most)
     if record.own.any():  # of others' driving, one car is taken for granted: what they answer can look like a change
         newest = since_other_gain(record, dead_time_of(record, most, description.scaled_from))
-        if len(newest) >= SETTLED or known is None:  # wander, too, looks like another gain
+        if len(newest) >= SETTLED or before is None or not before.feels:  # wander, too, looks like another gain
             record = newest
     if record.own.any() or len(_foreseeable(aligned(record, most))) < REFINED:
 
-        def found(rows: Transitions) -> tuple[int, CarModel]:
-            """Dead time and car of some rows."""
+        def found(rows: Transitions, within: float) -> tuple[int, CarModel, bool]:
+            """Dead time and car of some rows, and whether they are those of before and noise hides any others."""
             best = dead_time_of(rows, most, description.scaled_from, 0 if before is None else before.samples)
             part = aligned(rows, best)
             model = refined(CarModel.fit(part, description, fast=fast), part)
-            return best, overshooting(model, part, description, before) if fast else model
+            model = overshooting(model, part, description, before) if fast else model
+            if not fast or before is None or not before.feels or len(rows) < SETTLED:
+                return best, model, False
+            old = replace(model, **{name: getattr(before, name) for name in _CAR})
+            error = strays_of(model, part)
+            noisy = error > MATTERS
+            if strays_of(old, aligned(rows, before.samples)) <= (within if noisy else STAYS) * error:
+                return before.samples, old, noisy
+            return best, model, False
 
         long = fast and len(record) > ROWS
         newest = record.part(slice(-ROWS // 2, None)) if long else record
-        best, model = found(newest)
-        old = replace(model, **{name: getattr(known or model, name) for name in _CAR})
-        stays = as_good
-        if known and not as_good and len(record) >= SETTLED:
-            error = strays_of(model, aligned(record, best))
-            within = error * (KEPT if much and error > MATTERS else STAYS)
-            stays = strays_of(old, aligned(record, known.samples)) <= within
-        if known and stays:
-            best, model = known.samples, old
-        elif long:  # what was steered most tells more, but is older: is it of the same car?
-            of_most, car = found(most_steered(record))
-            within = (KEPT if known else AGREES) * strays_of(model, aligned(newest, best))
-            if strays_of(car, aligned(newest, of_most)) <= within:
+        best, model, stays = found(newest, AGREES if long else STAYS)
+        if long and not stays:  # what was steered most tells more, but is older: is it of the same car?
+            of_most, car, _ = found(most_steered(record), STAYS)
+            if strays_of(car, aligned(newest, of_most)) <= AGREES * strays_of(model, aligned(newest, best)):
                 best, model = of_most, car
     else:
         best, part, model = _of_others(record, description, most, fast)

@@ -17,26 +17,25 @@ from steerkit.controllers.nfq_policy import NfqPolicy, mean_of
 from steerkit.controllers.policy import ACTION, DOE, E, StateDescription, V
 from steerkit.learning.costs import Cost, Costs, TanhCost
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.nfq.dead_time import NEWEST, SETTLED, process_of
+from steerkit.learning.nfq.dead_time import SETTLED, process_of
 from steerkit.learning.nfq.model import CarModel, Explained, Imagined, explained, imagine, near_path
 from steerkit.learning.nfq.rprop import Net, engine_of, fit, new_net, predictor, sizes_of
 from steerkit.task import DT, RELEASE
 
+NEWEST = 600
+"""Samples by which it is judged how good the driving is: 30 s."""
 TRIALS = 40
 """Drives on the learned car by which a net is judged."""
 FAR = 8
 """One in so many begins beside the path, by up to twice RELEASE, the others on it."""
 TRIAL = 60
 """Samples of each."""
-LATER = 3
-"""By how many samples commands are later there than was found, where the car has overshoot or slew."""
-ALIKE = 1.25
-"""Of nets that cost so many times the least there, or less, the calmest are taken: on the true car, the rates of the
-wheel of such nets differ tenfold, e hardly ..."""
-CALMER = 0.9
-"""... new ones, from SETTLED on, where they turn the wheel by so much of what one of the update before does [1]."""
+CHEAPER = 0.95
+"""A new net of a car with overshoot or slew takes over from one of the update before where its drives cost so much of
+that one's [1], from SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
 DEARER, DEAREST = 16.0, 3.0
-"""How many times as much an action costs there [1]: DEARER/fast^2, within 1 and DEAREST."""
+"""How many times as much an action costs there [1]: DEARER/fast^2, within 1 and DEAREST. Else successive nets turn the
+wheel at 20 to 120 deg/s at 8 to 12 m/s, which the learned car does not tell apart."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
@@ -83,8 +82,8 @@ class FitSetting:
     nets: int = number(1, low=1)
     """Members of the ensemble: same targets, own random weights. Single fits differ threefold in wheel rate at equal
     RMS e: where a model of the car is learned, those of all iterations and of the update before drive that car
-    (`trials`), and the ones with the least cost stay; of a car with overshoot or slew the calmest (ALIKE, CALMER).
-    Without a model: the last iteration's."""
+    (`trial_costs`), and the ones with the least cost stay; new ones of a car with overshoot or slew where they are
+    CHEAPER. Without a model: the last iteration's."""
     mirror: bool = False
     """Learn from every transition's mirror image too, with the same target: twice the data for twice the time."""
     iterations: int = number(1, low=1)
@@ -256,14 +255,14 @@ def iterate(
     nets_before: Sequence[Net] = (),
     seed: int = 0,
     model: CarModel | None = None,
-    samples: int = 0,
 ) -> Nets:
     """One update of the Q-function: `fit.iterations` rounds of new targets and a new fit of every net.
 
-    nets_before: of the update before (none at first: the targets are then the costs alone).
-    model: of the car, for `imagined`; default: fitted; samples: its dead time, for `trials`. The result depends on its
-    arguments, engine and machine only. Two members train at once where two cores are there. Raises ValueError for no
-    transitions, unlike columns, or nets of another layout than the problem's. Source: Riedmiller 2005 (NFQ, Rprop).
+    Takes the recorded transitions, the problem, and the nets of the update before (none at first: the targets are then
+    the costs alone). Returns the new nets, for `NfqPolicy(nets=...)` and for the next update. The result depends on its
+    arguments, engine and machine only. model: of the car, for `imagined`; default: fitted. Two members train at once
+    where two cores are there. Raises ValueError for no transitions, unlike columns, or nets of another layout than the
+    problem's. Source: Riedmiller 2005 (NFQ), batch with Rprop.
     """
     where, setting, names = "nfq.iterate", problem.fit, problem.description.names
     require(len(transitions) > 0, where, "no transitions, expected at least one; drive (or load) an episode first")
@@ -293,24 +292,21 @@ def iterate(
         nets = tuple(chain.from_iterable(new))
         members += new
     if known is not None:
-        costs, turns = trials(problem, known, members, np.random.default_rng([seed, 2_000_003]), samples)
-        if known.model.feels:
-            if len(transitions) >= SETTLED:
-                turns[len(nets_before) // size :] /= CALMER
-            costs = np.where(costs <= ALIKE * np.sort(costs)[: setting.nets].max(), turns, math.inf)
+        costs = trial_costs(problem, known, members, np.random.default_rng([seed, 2_000_003]))
+        if known.model.feels and len(transitions) >= SETTLED:
+            costs[len(nets_before) // size :] /= CHEAPER
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets
 
 
-def trials(
-    problem: Problem, known: Explained, members: Sequence[Nets], rng: np.random.Generator, samples: int = 0
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean cost and |action| [rad] of a sample (members,) with each member alone at the wheel of the learned car.
+def trial_costs(
+    problem: Problem, known: Explained, members: Sequence[Nets], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Mean cost of a sample (members,) with each member of an ensemble alone at the wheel of the learned car.
 
     TRIALS drives of TRIAL samples, or until they fail, which costs 1 a sample from then on. All members meet the same:
     what the model left unexplained of the record (noise, bends, changes of speed), in the order in which it was
-    recorded. samples: of dead time, of a car with overshoot or slew, over which nets act on a forecast, while commands
-    are LATER than it believes. Any other learned car has no dead time, and the noise of a forecast is left out.
+    recorded. The learned car has no dead time, and the noise of a forecast over it is left out.
     """
     policy = NfqPolicy(actions=tuple(problem.actions), continuous=problem.continuous)
     order = np.argsort(np.abs(problem.actions), kind="stable")
@@ -323,28 +319,20 @@ def trials(
     s, earlier, place = np.tile(s, (len(members), 1)), np.tile(earlier, len(members)), np.tile(place, len(members))
     felt = felt and felt.part(near[place])
     drivers = [[predictor(net, problem.sizes[0]) for net in nets] for nets in members]
-    total, turned, drives = np.zeros(len(s)), np.zeros(len(s)), np.ones(len(s), dtype=bool)
-    late = samples + LATER if samples and model.feels else 0
-    way = [s[:, DOE]] * late  # angles that have not arrived, the next one first
+    total, drives = np.zeros(len(s)), np.ones(len(s), dtype=bool)
     for _ in range(TRIAL):
-        ahead, was, feels = s, earlier, felt
-        for angle in way[LATER:]:
-            feels_next = feels and model.after(ahead, angle, feels)
-            ahead, was, feels = model.turned(ahead, angle, was, feels), ahead[:, DOE], feels_next
-        parts = np.split(_with_each_action(problem, ahead), len(members), axis=1)
+        parts = np.split(_with_each_action(problem, s), len(members), axis=1)
         each = [_values(those, part) for those, part in zip(drivers, parts, strict=True)]
         a = policy.least(list(np.concatenate(each, axis=1)[order]))[0] / problem.description.excess(s[:, V]) ** 2
-        way.append(model.wheel(ahead[:, DOE], a))
-        s_next = model.turned(s, way.pop(0), earlier, felt) + unexplained[near[place]]
+        s_next = model.step(s, a, earlier, felt) + unexplained[near[place]]
         felt = felt and model.after(s, s_next[:, DOE], felt)
         place = (place + 1) % len(near)
         s_next[:, V] = record.s[near[place], V]
         c, failed = problem.costs(s, a, s_next)
         drives &= ~failed
         total += np.where(drives, c, 1.0)
-        turned += np.where(drives, np.abs(a), problem.scale)
         s, earlier = np.where(drives[:, None], s_next, s), np.where(drives, s[:, DOE], earlier)
-    return tuple(sums.reshape(len(members), -1).mean(axis=1) / TRIAL for sums in (total, turned))
+    return total.reshape(len(members), -1).mean(axis=1) / TRIAL
 
 
 def _patterns(
@@ -417,5 +405,5 @@ def update(transitions: Transitions, problem: Problem, before: Learned, seed: in
     if not problem.fit.dead_time:
         return Learned(iterate(transitions, problem, before.nets, seed))
     process = process_of(transitions, problem.description, problem.fit.dead_time, before.forecast)
-    nets = iterate(process.record, problem, before.nets, seed, process.model, process.forecast.samples)
+    nets = iterate(process.record, problem, before.nets, seed, model=process.model)
     return Learned(nets, process.forecast)

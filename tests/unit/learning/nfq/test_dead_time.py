@@ -365,32 +365,6 @@ def test_where_steering_is_slow_a_car_stays_while_it_foresees_the_newest_rows_ab
 
 
 @pytest.mark.parametrize(
-    ("since", "worse", "recovered", "stays"),
-    [
-        (ROWS // 2, 2.0, 0, True),
-        (ROWS, 2.0, 0, False),
-        (ROWS, 1.0, 0, True),
-        (ROWS, 1.4, 0, True),
-        (ROWS, 1.0, 1, False),
-    ],
-)
-def test_another_car_that_is_seen_for_a_while_or_that_the_learner_drives_as_well_is_not_believed(
-    since: int, worse: float, recovered: int, stays: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One found from the newest half foresees that better, and the half before worse. Recovery's driving says nothing
-    of the learner's."""
-    monkeypatch.setattr(dead_time, "since_other_gain", lambda record, _: record)
-    other, how = replace(FAST, now=0.9 * FAST.now, before=0.9 * FAST.before), {"speeds": (12.0, 24.0), "noise": 0.005}
-    record = after(late(4, car=FAST, n=ROWS + 400 - since, **how), late(4, car=other, n=since, seed=1, **how))
-    s = record.s.copy()
-    s[:, 0] = 0.1 * np.where(np.arange(len(s)) < len(s) - 600, 1.0, worse)
-    own = np.arange(len(s)) < len(s) - recovered
-    driven = Transitions(record.names, s, record.a, record.s_next, record.episode, own)
-    found = process_of(driven, DESCRIPTION, 0.6, first := found_at_first()).forecast
-    assert (found.now == first.now) is stays
-
-
-@pytest.mark.parametrize(
     ("slew", "rows", "left"), [(8.0, 400, 1700), (8.0, ROWS // 2, ROWS // 2), (UNLIMITED, 400, 400)]
 )
 def test_few_rows_in_which_a_car_that_wanders_seems_another_leave_nothing_out(
