@@ -370,8 +370,8 @@ def parse(data: bytes) -> Recorded:
             known, after = lines[-1].number + 1, lines[-1].values["t"]
     if not finished:
         gaps.append(Gap(intact, len(data), after, None, None))
-    elif (index := data[intact:])[-8:] != _MAGIC or zlib.crc32(index[:-12]) != int.from_bytes(index[-12:-8], "little"):
-        gaps.append(Gap(intact, len(data), after, None, 0))  # of the index, which only other programs use
+    elif not _index_fits(data[intact:]):
+        gaps.append(Gap(intact, len(data), after, None, 0))
     if not metadata and not messages:
         if data.startswith(_MAGIC) and not _BEGIN.startswith(data[: len(_BEGIN)]):
             raise ValueError("an MCAP file of another program, not a recording of steerkit")
@@ -451,6 +451,12 @@ def _check(topic: str, values: dict[str, Any]) -> None:
 
 def _value(value: Any) -> Any:
     return float(value) if value in ("nan", "inf", "-inf") else value
+
+
+def _index_fits(index: bytes) -> bool:
+    """Is that the whole index at a file's end, which only other programs use?"""
+    sum_of = zlib.crc32(index[:-12])
+    return index[-8:] == _MAGIC and sum_of == int.from_bytes(index[-12:-8], "little")
 
 
 def config_of(recorded: Recorded) -> CarConfig:

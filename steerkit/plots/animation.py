@@ -167,17 +167,20 @@ class Scene:
                 self.lines[who].set_data(run.t[past], np.where(drawn, run.signals["e"][past], np.nan))
         self.car.place(x, y, psi, now.get("delta_sw", 0.0) / self.ratio)
         self._look(now)
-        words, failures = list[str](), int((learns[:-1] & ~learns[1:]).sum())
-        if "learning" in run.signals:
-            self.car.shapes[-1].set_facecolor(COLOURS[_WHO[0 if learns[-1] else 1]])
-            who = "the learner" if learns[-1] else "the recovery controller"
-            words = [f"{who} steers; {failures} failure" + ("" if failures == 1 else "s")]
+        words = self._steering(learns) if "learning" in run.signals else []
         words += [f"t = {t:.1f} s" + ("" if abs(speed - 1.0) < 1e-6 else f"   (shown {speed:.3g} x)")]
         words += [f"v = {now['v']:.1f} m/s"] if "v" in now else []
         words += [f"wheel {degrees_of(now['delta_sw']):+.0f} deg"] if "delta_sw" in now else []
         words += [f"e = {now['e']:+.3f} m"] if "e" in now else []
         self.words.set_text("\n".join(words))
         self.now.set_xdata([t, t])
+
+    def _steering(self, learns: np.ndarray) -> list[str]:
+        """Who steers, and how often the learner has failed."""
+        self.car.shapes[-1].set_facecolor(COLOURS[_WHO[0 if learns[-1] else 1]])
+        failures = int((learns[:-1] & ~learns[1:]).sum())
+        who = "the learner" if learns[-1] else "the recovery controller"
+        return [f"{who} steers; {failures} failure" + ("" if failures == 1 else "s")]
 
     def pixels(self) -> np.ndarray:
         """The picture as it is now, (height, width, 3) uint8."""

@@ -198,6 +198,14 @@ _REACH_OF_SLEW = 0.4
 comes back slowly."""
 
 
+def _of_slew(slew: float, kind: Any) -> dict[str, float]:
+    """Settings of predictive steering for a slew [m/s^3]."""
+    return {
+        "q_rate": _Q_RATE_OF_TORQUE * max(1.0, 5.0 / slew) ** 2.5,
+        "e_reach": min(kind.e_reach, _REACH_OF_SLEW * slew),
+    }
+
+
 def _predictive(name: str) -> Callable[[DesignModel], Block]:
     """What makes the predictive controller of that class."""
 
@@ -205,16 +213,12 @@ def _predictive(name: str) -> Callable[[DesignModel], Block]:
         from steerkit.controllers.mpc import block  # here, as it loads CasADi
 
         kind: Any = getattr(block, name)
-        of_slew = dict[str, float]()
-        if model.slew is not None:
-            of_slew["q_rate"] = _Q_RATE_OF_TORQUE * max(1.0, 5.0 / model.slew) ** 2.5
-            of_slew["e_reach"] = min(kind.e_reach, _REACH_OF_SLEW * model.slew)
         return kind.of(
             NonlinearSingleTrack(vehicle=model.vehicle),
             delay=model.delay + 0.5 * model.hold,
             lag=model.lag,
             rate_limit=min(model.rate_limit, kind.rate_limit),  # its own leaves the motor room to follow
-            **of_slew,
+            **({} if model.slew is None else _of_slew(model.slew, kind)),
             **({} if model.a_y_limit is None else {"a_y_limit": min(model.a_y_limit, kind.a_y_limit)}),
             fallback=_stanley(model),
             budget=model.budget,
