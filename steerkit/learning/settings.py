@@ -210,8 +210,9 @@ def _with(part: Any, names: list[str], value: Any, change: str) -> Any:
         require(is_dataclass(old), "setting", f"'{change}': '{names[0]}' has no parts")
         value = _with(old, names[1:], value, change)
     else:
-        fits = isinstance(value, type(old)) or (isinstance(old, float) and isinstance(value, int))
-        expected = type(old).__name__ + (", or its parts by their names" if is_dataclass(old) else "")
+        kind = float if old is None else type(old)  # a number that may be left out
+        fits = isinstance(value, kind) or (kind is float and isinstance(value, int))
+        expected = kind.__name__ + (", or its parts by their names" if is_dataclass(old) else "")
         require(fits and not is_dataclass(old), "setting", f"'{change}': expected {expected}")
     return replace(part, **{names[0]: value})
 

@@ -16,6 +16,8 @@ def test_settings_are_changed_by_name() -> None:
     assert (new.fit.nets, new.after_failure, new.cost.goal, new.calm) == (2, "reset", 0.1, 1)
     assert new.actions_deg == (-9, 0, 9)
     assert replace(DEFAULT.fit, nets=2) == new.fit
+    priced = changed(DEFAULT, ["cost.dear_from=2"])  # None, where it is left out
+    assert replace(DEFAULT, cost=replace(DEFAULT.cost, dear_from=2)) == priced  # type: ignore[type-var]
 
 
 @pytest.mark.parametrize(
@@ -28,6 +30,8 @@ def test_settings_are_changed_by_name() -> None:
         ("after_failure=cry", "valid: recovery, reset"),
         ("corrected_seconds=0", "corrected_seconds = 0 [s], expected > 0"),
         ("safe=1", "expected bool"),
+        ("cost.dear_from=x", "'cost.dear_from=x': expected float"),
+        ("cost.dear_from=0.5", "dear_from = 0.5 [1], expected >= 1"),
     ],
 )
 def test_wrong_changes_are_told(change: str, told: str) -> None:
