@@ -30,12 +30,16 @@ FAR = 8
 """One in so many begins beside the path, by up to twice RELEASE, the others on it."""
 TRIAL = 60
 """Samples of each."""
-CHEAPER = 0.95
-"""A new net of a car with overshoot or slew takes over from one of the update before where its drives cost so much of
-that one's [1], from SETTLED on: of nets that cost alike, the wheel's rates differ twofold."""
+LATER = 0.3
+"""By so much of the dead time found commands are later there [1], where the car has overshoot or slew: of nets that
+cost and leave alike, the wheel's rates on the car differ tenfold, and it is so that this shows."""
+CALM = 1.5
+"""Nets that turn such a car's wheel so many times as much there as the calmest ones, or less, may steer [1]."""
+CHEAPER = 0.9
+"""A new net takes over from one of the update before where it costs, or turns, so much of what that one does [1], from
+SETTLED on."""
 DEARER, DEAREST = 16.0, 3.0
-"""How many times as much an action costs there [1]: DEARER/fast^2, within 1 and DEAREST. Else successive nets turn the
-wheel at 20 to 120 deg/s at 8 to 12 m/s, which the learned car does not tell apart."""
+"""How many times as much an action costs there [1]: DEARER/fast^2, within 1 and DEAREST."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
@@ -82,8 +86,8 @@ class FitSetting:
     nets: int = number(1, low=1)
     """Members of the ensemble: same targets, own random weights. Single fits differ threefold in wheel rate at equal
     RMS e: where a model of the car is learned, those of all iterations and of the update before drive that car
-    (`trial_costs`), and the ones with the least cost stay; new ones of a car with overshoot or slew where they are
-    CHEAPER. Without a model: the last iteration's."""
+    (`trials`), and the ones with the least cost stay; of a car with overshoot or slew, of the CALM ones. Without a
+    model: the last iteration's."""
     mirror: bool = False
     """Learn from every transition's mirror image too, with the same target: twice the data for twice the time."""
     iterations: int = number(1, low=1)
@@ -255,14 +259,14 @@ def iterate(
     nets_before: Sequence[Net] = (),
     seed: int = 0,
     model: CarModel | None = None,
+    samples: int = 0,
 ) -> Nets:
     """One update of the Q-function: `fit.iterations` rounds of new targets and a new fit of every net.
 
-    Takes the recorded transitions, the problem, and the nets of the update before (none at first: the targets are then
-    the costs alone). Returns the new nets, for `NfqPolicy(nets=...)` and for the next update. The result depends on its
-    arguments, engine and machine only. model: of the car, for `imagined`; default: fitted. Two members train at once
-    where two cores are there. Raises ValueError for no transitions, unlike columns, or nets of another layout than the
-    problem's. Source: Riedmiller 2005 (NFQ), batch with Rprop.
+    nets_before: of the update before (none at first: the targets are then the costs alone).
+    model: of the car, for `imagined`; default: fitted; samples: its dead time, for `trials`. The result depends on its
+    arguments, engine and machine only. Two members train at once where two cores are there. Raises ValueError for no
+    transitions, unlike columns, or nets of another layout than the problem's. Source: Riedmiller 2005 (NFQ, Rprop).
     """
     where, setting, names = "nfq.iterate", problem.fit, problem.description.names
     require(len(transitions) > 0, where, "no transitions, expected at least one; drive (or load) an episode first")
@@ -292,21 +296,26 @@ def iterate(
         nets = tuple(chain.from_iterable(new))
         members += new
     if known is not None:
-        costs = trial_costs(problem, known, members, np.random.default_rng([seed, 2_000_003]))
-        if known.model.feels and len(transitions) >= SETTLED:
-            costs[len(nets_before) // size :] /= CHEAPER
+        costs, turns = trials(problem, known, members, np.random.default_rng([seed, 2_000_003]))
+        if known.model.feels:
+            _, turns = trials(problem, known, members, np.random.default_rng([seed, 2_000_003]), samples)
+            if len(transitions) >= SETTLED:
+                costs[len(nets_before) // size :] /= CHEAPER
+                turns[len(nets_before) // size :] /= CHEAPER
+            costs[turns > CALM * np.sort(turns)[: setting.nets].max()] = math.inf
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets
 
 
-def trial_costs(
-    problem: Problem, known: Explained, members: Sequence[Nets], rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Mean cost of a sample (members,) with each member of an ensemble alone at the wheel of the learned car.
+def trials(
+    problem: Problem, known: Explained, members: Sequence[Nets], rng: np.random.Generator, samples: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean cost and |action| [rad] of a sample (members,) with each member alone at the wheel of the learned car.
 
     TRIALS drives of TRIAL samples, or until they fail, which costs 1 a sample from then on. All members meet the same:
     what the model left unexplained of the record (noise, bends, changes of speed), in the order in which it was
-    recorded. The learned car has no dead time, and the noise of a forecast over it is left out.
+    recorded. samples: of dead time, of a car with overshoot or slew, over which nets act on a forecast, while commands
+    are LATER than it believes. Any other learned car has no dead time, and the noise of a forecast is left out.
     """
     policy = NfqPolicy(actions=tuple(problem.actions), continuous=problem.continuous)
     order = np.argsort(np.abs(problem.actions), kind="stable")
@@ -319,20 +328,29 @@ def trial_costs(
     s, earlier, place = np.tile(s, (len(members), 1)), np.tile(earlier, len(members)), np.tile(place, len(members))
     felt = felt and felt.part(near[place])
     drivers = [[predictor(net, problem.sizes[0]) for net in nets] for nets in members]
-    total, drives = np.zeros(len(s)), np.ones(len(s), dtype=bool)
+    total, turned, drives = np.zeros(len(s)), np.zeros(len(s)), np.ones(len(s), dtype=bool)
+    later = round(LATER * samples) if model.feels else 0
+    late = samples + later if model.feels else 0
+    way = [s[:, DOE]] * late  # angles that have not arrived, the next one first
     for _ in range(TRIAL):
-        parts = np.split(_with_each_action(problem, s), len(members), axis=1)
+        ahead, was, feels = s, earlier, felt
+        for angle in way[later:]:
+            feels_next = feels and model.after(ahead, angle, feels)
+            ahead, was, feels = model.turned(ahead, angle, was, feels), ahead[:, DOE], feels_next
+        parts = np.split(_with_each_action(problem, ahead), len(members), axis=1)
         each = [_values(those, part) for those, part in zip(drivers, parts, strict=True)]
         a = policy.least(list(np.concatenate(each, axis=1)[order]))[0] / problem.description.excess(s[:, V]) ** 2
-        s_next = model.step(s, a, earlier, felt) + unexplained[near[place]]
+        way.append(model.wheel(ahead[:, DOE], a))
+        s_next = model.turned(s, way.pop(0), earlier, felt) + unexplained[near[place]]
         felt = felt and model.after(s, s_next[:, DOE], felt)
         place = (place + 1) % len(near)
         s_next[:, V] = record.s[near[place], V]
         c, failed = problem.costs(s, a, s_next)
         drives &= ~failed
         total += np.where(drives, c, 1.0)
+        turned += np.where(drives, np.abs(a), problem.scale)
         s, earlier = np.where(drives[:, None], s_next, s), np.where(drives, s[:, DOE], earlier)
-    return total.reshape(len(members), -1).mean(axis=1) / TRIAL
+    return tuple(sums.reshape(len(members), -1).mean(axis=1) / TRIAL for sums in (total, turned))
 
 
 def _patterns(
@@ -405,5 +423,5 @@ def update(transitions: Transitions, problem: Problem, before: Learned, seed: in
     if not problem.fit.dead_time:
         return Learned(iterate(transitions, problem, before.nets, seed))
     process = process_of(transitions, problem.description, problem.fit.dead_time, before.forecast)
-    nets = iterate(process.record, problem, before.nets, seed, model=process.model)
+    nets = iterate(process.record, problem, before.nets, seed, process.model, process.forecast.samples)
     return Learned(nets, process.forecast)

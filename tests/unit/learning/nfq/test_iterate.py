@@ -187,11 +187,11 @@ def test_of_all_nets_those_stay_that_drive_the_learned_car_best(
     asked = problem(nets=2, epochs=0, iterations=2, imagined=10, symmetric=symmetric)
     seen: list[Any] = []
 
-    def costs(problem: Problem, known: object, members: Any, rng: object) -> np.ndarray:
+    def trials(problem: Problem, known: object, members: Any, rng: object, samples: int) -> tuple[np.ndarray, ...]:
         seen.append(members)
-        return np.arange(len(members))[::-1] % 4.0  # 1 0 3 2 1 0 for the six of the second update
+        return np.arange(len(members))[::-1] % 4.0, np.zeros(len(members))  # 1 0 3 2 1 0 for the second's six
 
-    monkeypatch.setattr(nfq, "trial_costs", costs)
+    monkeypatch.setattr(nfq, "trials", trials)
     first = iterate(record, asked)
     second = iterate(record, asked, first, seed=1)
     assert [len(members) for members in seen] == [4, 6]
@@ -202,17 +202,25 @@ def test_of_all_nets_those_stay_that_drive_the_learned_car_best(
 
 
 @pytest.mark.parametrize(
-    ("lead", "rows", "new", "stay"),
-    [(0.6, 40, 0.96, True), (0.6, 40, 0.94, False), (0.6, 41, 0.96, False), (0.0, 40, 0.99, False)],
+    ("lead", "rows", "cost", "turns", "stay"),
+    [
+        (0.6, 40, 1.0, 0.91, True),
+        (0.6, 40, 1.0, 0.89, False),
+        (0.6, 41, 1.0, 0.91, False),  # too few rows yet
+        (0.6, 40, 1.2, 0.89, False),
+        (0.6, 40, 1.3, 0.89, True),  # calmer, and not as good
+        (0.6, 40, 0.6, 1.0, False),  # far better
+        (0.0, 40, 0.99, 2.0, False),  # a car that does not overshoot: the cost alone
+    ],
 )
-def test_where_steering_overshoots_a_net_stays_that_drives_about_as_well(
-    lead: float, rows: int, new: float, stay: bool, monkeypatch: pytest.MonkeyPatch
+def test_where_steering_overshoots_a_net_takes_over_that_is_calmer_and_about_as_good(
+    lead: float, rows: int, cost: float, turns: float, stay: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From some rows on."""
+    """From some rows on clearly calmer."""
     monkeypatch.setattr(nfq, "SETTLED", rows)
     record, asked = driven(n=40), problem(nets=1, epochs=0, imagined=10)
     before = iterate(record, asked)
-    monkeypatch.setattr(nfq, "trial_costs", lambda *_: np.array([1.0, new]))
+    monkeypatch.setattr(nfq, "trials", lambda *_: (np.array([1.0, cost]), np.array([1.0, turns])))
     car = replace(CarModel.fit(record, asked.description), fast=1.0, lead=lead)
     after = iterate(record, asked, before, seed=1, model=car)
     assert (after[0] is before[0]) is stay

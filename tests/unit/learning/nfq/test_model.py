@@ -108,13 +108,14 @@ def test_trials_by_hand() -> None:
     asked = Problem(actions=ACTIONS, cost=cost)
     turning = np.array([[0, 0, 0, 0, 0, 0, -1.0]], np.float32), np.zeros(1, np.float32)
     members = [(level(0.2),), (turning,)]
-    still, turned = nfq.trial_costs(asked, explained(CAR, straight_on()), members, np.random.default_rng(3))
+    (still, turned), (none, most) = nfq.trials(asked, explained(CAR, straight_on()), members, np.random.default_rng(3))
     rng = np.random.default_rng(3)
     rng.integers(50, size=nfq.TRIALS)
     e = 2.0 * 0.1 * rng.uniform(-1.0, 1.0, nfq.TRIALS // nfq.FAR)
     assert still == pytest.approx(0.04 * (np.tanh(e * np.arctanh(np.sqrt(0.95)) / 0.1) ** 2).sum() / nfq.TRIALS)
     assert 0.3 < turned < 1.0
-    crooked, _ = nfq.trial_costs(asked, explained(CAR, straight_on(yaw=0.02)), members, np.random.default_rng(3))
+    assert (none, most) == (0.0, pytest.approx(0.3))
+    (crooked, _), _ = nfq.trials(asked, explained(CAR, straight_on(yaw=0.02)), members, np.random.default_rng(3))
     assert 0.3 < crooked < 1.0
 
 
@@ -125,11 +126,26 @@ def test_trials_are_driven_as_the_policy_would() -> None:
     costs = []
     for continuous in (False, True):
         asked = Problem(actions=ACTIONS, cost=TanhCost(action_cost=0.1), continuous=continuous)
-        together = nfq.trial_costs(asked, explained(CAR, record), [(net,) for net in nets], np.random.default_rng(0))
-        each = [nfq.trial_costs(asked, explained(CAR, record), [(net,)], np.random.default_rng(0))[0] for net in nets]
+        together, _ = nfq.trials(asked, explained(CAR, record), [(net,) for net in nets], np.random.default_rng(0))
+        each = [nfq.trials(asked, explained(CAR, record), [(net,)], np.random.default_rng(0))[0][0] for net in nets]
         np.testing.assert_allclose(together, each, rtol=1e-6)
         costs.append(together)
     assert not np.allclose(*costs)
+
+
+def test_where_steering_overshoots_trials_have_dead_time_and_more_than_was_found() -> None:
+    """What a net does by the forecast over `samples` reaches the car LATER than that; until then it stays as it is."""
+    car, asked = replace(CAR, lead=1e-9), Problem(actions=ACTIONS, cost=TanhCost(goal=0.1))
+    turning = np.array([[0, 0, 0, 0, 0, 0, -1.0]], np.float32), np.zeros(1, np.float32)
+
+    def cost(model: CarModel, samples: int) -> float:
+        return float(
+            nfq.trials(asked, explained(model, straight_on()), [(turning,)], np.random.default_rng(3), samples)[0][0]
+        )
+
+    assert cost(CAR, 5) == cost(CAR, 0) == pytest.approx(cost(car, 0))
+    fails = (1.0 - cost(car, 0)) * nfq.TRIAL
+    assert 1.0 - cost(car, 5) == pytest.approx((fails + 5 + nfq.LATER) / nfq.TRIAL, abs=0.02)
 
 
 def test_a_fast_cars_action_costs_what_the_net_chose() -> None:
