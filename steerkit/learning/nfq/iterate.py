@@ -30,14 +30,11 @@ FAR = 8
 """One in so many begins beside the path, by up to twice RELEASE, the others on it."""
 TRIAL = 60
 """Samples of each."""
-LATER = 0.3
-"""By so much of the dead time found commands are later there [1], where the car has overshoot or slew: of nets that
-cost and leave alike, the wheel's rates on the car differ tenfold, and it is so that this shows."""
-CALM = 1.5
-"""Nets that turn such a car's wheel so many times as much there as the calmest ones, or less, may steer [1]."""
-CHEAPER = 0.9
-"""A new net takes over from one of the update before where it costs, or turns, so much of what that one does [1], from
-SETTLED on."""
+LATER, CALM = 0.3, 1.5
+"""From SETTLED on, nets of a car with overshoot or slew stay that act at most CALM times as much as the calmest, where
+commands are LATER than forecast, in dead times [1]: of nets that cost alike, wheel rates differ tenfold."""
+CHEAPER = 0.85
+"""What such a net costs, and acts, is divided by that if it is new [1]: those of the update before mostly stay."""
 DEARER, DEAREST = 16.0, 3.0
 """How many times as much an action costs there [1]: DEARER/fast^2, within 1 and DEAREST."""
 
@@ -297,11 +294,10 @@ def iterate(
         members += new
     if known is not None:
         costs, turns = trials(problem, known, members, np.random.default_rng([seed, 2_000_003]))
-        if known.model.feels:
+        if known.model.feels and len(transitions) >= SETTLED:
             _, turns = trials(problem, known, members, np.random.default_rng([seed, 2_000_003]), samples)
-            if len(transitions) >= SETTLED:
-                costs[len(nets_before) // size :] /= CHEAPER
-                turns[len(nets_before) // size :] /= CHEAPER
+            for each in (costs, turns):
+                each[len(nets_before) // size :] /= CHEAPER
             costs[turns > CALM * np.sort(turns)[: setting.nets].max()] = math.inf
         nets = tuple(chain.from_iterable(members[i] for i in np.argsort(costs, kind="stable")[: setting.nets]))
     return nets
@@ -329,9 +325,8 @@ def trials(
     felt = felt and felt.part(near[place])
     drivers = [[predictor(net, problem.sizes[0]) for net in nets] for nets in members]
     total, turned, drives = np.zeros(len(s)), np.zeros(len(s)), np.ones(len(s), dtype=bool)
-    later = round(LATER * samples) if model.feels else 0
-    late = samples + later if model.feels else 0
-    way = [s[:, DOE]] * late  # angles that have not arrived, the next one first
+    later = round(LATER * samples)
+    way = [s[:, DOE]] * (samples + later if model.feels else 0)  # angles that have not arrived, the next one first
     for _ in range(TRIAL):
         ahead, was, feels = s, earlier, felt
         for angle in way[later:]:
