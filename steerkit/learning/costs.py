@@ -118,8 +118,7 @@ class TanhCost(_Limits):
             action_cost' = min(action_cost*dearer*fast, 1 - step),   or max(1, fast/dear_from)^2 in place of fast
 
         The well is _WELL times the median |e| wide, within goal_least*fast and goal. An error of the course leads a
-        fast car off as many times faster. With a slow car's well and price, nets at 16 m/s steer more restlessly than
-        MPC; by angle, a price that grows with fast^2 leaves them further off.
+        fast car off as many times faster; by angle, a price that grows with fast^2 leaves it further off.
         """
         dear = fast if self.dear_from is None else max(1.0, fast / self.dear_from) ** 2
         cost = replace(self, action_cost=min(self.action_cost * dearer * dear, 1.0 - self.step))

@@ -40,24 +40,19 @@ NOTHING = 1e-5
 fast car's angles are small: with 1e-5 at 15 m/s, the calmer a net drove, the longer the dead time that was found."""
 PIECE = 200
 """Rows of the pieces in which it is asked whether the dead time has changed."""
-CHANGED = 0.4
+CHANGED, DRIFTS = 0.4, 0.05
 """By how much the logarithm of what is left unexplained has to fall, summed over pieces, where there are two dead times
-[1] ..."""
-DRIFTS = 0.05
-"""... and more for each piece: noise, and steering that is no dead time and three angles, move it by that."""
+[1], and by how much more for each piece: noise, and steering that is no dead time and three angles, move it by that."""
 MATTERS = 5e-4
 """Turn in a sample that is little [rad]: what changes less has not changed."""
 GAINED = 300.0
-"""Twice the log-likelihood by which two cars explain a record better than one, from which on they are two; noise and
-the first, wild seconds make up to 170 of it."""
+"""Twice the log-likelihood by which two cars explain a record better than one, from which on they are two."""
 AGREES = 1.15
 """A car found from where it was steered most, or before, stays while it foresees the newest rows as well as one found
-from them, by this factor: of three minutes behind a Corolla's and a Tesla's port 1.09 at most, 1.2 with less gain."""
-SETTLED = 1500
-"""Samples from which on a car with overshoot or slew stays that was found before: 75 s ..."""
-STAYS = 1.05
-"""... while it foresees the record as well as one found anew, by this factor: calm driving tells little of a car, and
-nets of cars found anew differ threefold in the rate of the wheel."""
+from them, by this factor."""
+SETTLED, STAYS = 1500, 1.05
+"""From so many samples on (75 s), a car with overshoot or slew that was found before stays while it foresees the record
+as well as one found anew, by that factor: calm driving tells little of a car."""
 AHEAD = 10
 """Samples over which a model has to foresee the car."""
 MOTOR = 0.2
@@ -69,16 +64,13 @@ LITTLE = 0.01
 """How firmly a fast car's loss*v^2 is taken to be little [rad]."""
 OFFSET = 8.0
 """How much more evidence than CENTRED's samples a fast car's offset needs: its angles are small, and what steering by
-torque leaves unexplained can look like one. With 30, a real one of 2 degrees is hardly seen."""
-TRUST = 0.25
-"""Share of what is seen in the filtered w and r_e (see `DelayCompensator`) ..."""
-TRUST_COURSE = 0.1
-"""... and, of a fast car, in e and c where they are noise (see `trust_in_course`)."""
-TAKEN_BACK = 0.05
-"""Correlation of what a model did not foresee of c with that of the sample before: noise if it is below that, negative
-..."""
-CERTAIN = 2.0
-"""... by that many standard errors."""
+torque leaves unexplained can look like one."""
+TRUST, TRUST_COURSE = 0.25, 0.1
+"""Share of what is seen in the filtered w and r_e (see `DelayCompensator`) and, of a fast car, in e and c where they
+are noise (see `trust_in_course`)."""
+TAKEN_BACK, CERTAIN = 0.05, 2.0
+"""Correlation of what a model did not foresee of c with that of the sample before: noise if it is below that, negative,
+by so many standard errors."""
 
 
 LEADS = (0.3, 0.6, 1.2, 2.4)

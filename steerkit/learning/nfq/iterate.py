@@ -30,11 +30,10 @@ FAR = 8
 """One in so many begins beside the path, by up to twice RELEASE, the others on it."""
 TRIAL = 60
 """Samples of each."""
-LATER, CALM = 0.3, 1.5
+LATER, CALM, CHEAPER = 0.3, 1.5, 0.85
 """From SETTLED on, nets of a car with overshoot or slew stay that act at most CALM times as much as the calmest, where
-commands are LATER than forecast, in dead times [1]: of nets that cost alike, wheel rates differ tenfold."""
-CHEAPER = 0.85
-"""What such a net costs, and acts, is divided by that if it is new [1]: those of the update before mostly stay."""
+commands are LATER than forecast, in dead times [1]: of nets that cost alike, wheel rates differ tenfold. What a new one
+costs, and acts, is divided by CHEAPER: those of the update before mostly stay."""
 DEARER, DEAREST = 16.0, 3.0
 """How many times as much an action costs there [1]: DEARER/fast^2, within 1 and DEAREST."""
 
@@ -81,10 +80,9 @@ class FitSetting:
     """Only the newest so many transitions are fitted, which bounds the time of a fit; 0: all of them. The model that
     imagines others learns from all."""
     nets: int = number(1, low=1)
-    """Members of the ensemble: same targets, own random weights. Single fits differ threefold in wheel rate at equal
-    RMS e: where a model of the car is learned, those of all iterations and of the update before drive that car
-    (`trials`), and the ones with the least cost stay; of a car with overshoot or slew, of the CALM ones. Without a
-    model: the last iteration's."""
+    """Members of the ensemble: same targets, own random weights. Where a model of the car is learned, those of all
+    iterations and of the update before drive that car (`trials`), and the ones with the least cost stay; of a car with
+    overshoot or slew, of the CALM ones. Without a model: the last iteration's."""
     mirror: bool = False
     """Learn from every transition's mirror image too, with the same target: twice the data for twice the time."""
     iterations: int = number(1, low=1)
@@ -335,7 +333,7 @@ def trials(
         parts = np.split(_with_each_action(problem, ahead), len(members), axis=1)
         each = [_values(those, part) for those, part in zip(drivers, parts, strict=True)]
         a = policy.least(list(np.concatenate(each, axis=1)[order]))[0] / problem.description.excess(s[:, V]) ** 2
-        way.append(model.wheel(ahead[:, DOE], a))
+        way.append(model.step(ahead, a, was, feels)[:, DOE])
         s_next = model.turned(s, way.pop(0), earlier, felt) + unexplained[near[place]]
         felt = felt and model.after(s, s_next[:, DOE], felt)
         place = (place + 1) % len(near)

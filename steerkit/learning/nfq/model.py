@@ -139,11 +139,8 @@ class CarModel(SteeringAnswer):
 
         felt: of a car that feels another angle than the wheel's; without it: of one whose wheel has stood still.
         """
-        return self.turned(s, self.wheel(s[:, DOE], a), earlier, felt)
-
-    def wheel(self, doe: Array, a: Array) -> Array:
-        """doe one sample later, under the actions a; each (n,) [rad]."""
-        return np.clip(self.held * doe + self.pushed * a, -self.limit, self.limit)
+        doe_next = np.clip(self.held * s[:, DOE] + self.pushed * a, -self.limit, self.limit)
+        return self.turned(s, doe_next, earlier, felt)
 
     def turned(self, s: Array, doe_next: Array, earlier: Array, felt: Felt | None = None) -> Array:
         """The same with the wheel turned to `doe_next` (n,) [rad]."""
