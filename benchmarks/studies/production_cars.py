@@ -147,7 +147,7 @@ def drive_of(world: ProductionWorld, controller: str) -> Drive:
     if controller == AUTO:
         block = make_recovery(AUTO, loops.design_model_of(world.config), alone=True)
     else:
-        block = loops.controller_named(controller, world.config).block
+        block = loops.controller_named(controller, world.config, in_time=True).block
     follow = Follow.of(loops.car_loop(world.config, world, block), world)
 
     def each(run: realtime.Run) -> None:
