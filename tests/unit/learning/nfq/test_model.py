@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from steerkit.controllers.policy import DOE, E
 from steerkit.doe import Integrator, LowPass, PlainAngle
 from steerkit.learning.costs import TanhCost
 from steerkit.learning.data.transitions import Transitions
@@ -146,6 +147,27 @@ def test_where_steering_overshoots_trials_have_dead_time_and_more_than_was_found
     assert cost(CAR, 5) == cost(CAR, 0) == pytest.approx(cost(car, 0))
     fails = (1.0 - cost(car, 0)) * nfq.TRIAL
     assert 1.0 - cost(car, 5) == pytest.approx((fails + 5 + round(5 * nfq.LATER)) / nfq.TRIAL, abs=0.02)
+
+
+def test_nets_of_trials_act_on_the_state_that_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without noise and action, the state forecast over three samples is that of three samples later."""
+    s, record = straight_on().s.copy(), Transitions()
+    s[:, DOE] = 0.01 * np.sin(np.arange(len(s)))
+    record.extend(s, np.zeros(len(s)), s, 0)
+    known = explained(replace(CAR, fast=1.0, lead=0.6, most=1.0, fade=0.1), record)
+    known = known._replace(residual=np.zeros_like(known.residual))
+    asked, with_each = Problem(actions=ACTIONS, cost=TanhCost(goal=0.1)), nfq._with_each_action
+    monkeypatch.setattr(nfq, "LATER", 0.0)
+
+    def states(samples: int) -> np.ndarray:
+        seen: list[np.ndarray] = []
+        monkeypatch.setattr(nfq, "_with_each_action", lambda asked, s: seen.append(s) or with_each(asked, s))
+        nfq.trials(asked, known, [(level(0.2),)], np.random.default_rng(3), samples)
+        return np.array(seen)
+
+    now = states(0)
+    assert np.abs(now[:, :, E]).max() < asked.cost.trip  # type: ignore[attr-defined]
+    np.testing.assert_allclose(states(3)[:-3], now[3:], atol=1e-12)
 
 
 def test_a_fast_cars_action_costs_what_the_net_chose() -> None:
