@@ -32,10 +32,10 @@ TRIAL = 60
 """Samples of each."""
 LATER, CALM, CHEAPER = 0.3, 1.5, 0.85
 """From SETTLED on, nets of a car with overshoot or slew stay that act at most CALM times as much as the calmest, where
-commands are LATER than forecast, in dead times [1]: of nets that cost alike, wheel rates differ tenfold. What a new one
+commands are LATER than forecast, in dead times [1]: of nets that cost alike, wheel rates differ widely. What a new one
 costs, and acts, is divided by CHEAPER: those of the update before mostly stay."""
 DEARER, DEAREST = 16.0, 3.0
-"""How many times as much an action costs there [1]: DEARER/fast^2, within 1 and DEAREST."""
+"""How many times as much an action of such a car costs [1]: DEARER/fast^2, within 1 and DEAREST."""
 
 STANDARD = StateDescription()
 """The six inputs of the steering task, in their usual ranges."""
@@ -258,7 +258,7 @@ def iterate(
 ) -> Nets:
     """One update of the Q-function: `fit.iterations` rounds of new targets and a new fit of every net.
 
-    nets_before: of the update before (none at first: the targets are then the costs alone).
+    nets_before: of the update before (none at first: the targets are then the costs alone). Returns the new nets.
     model: of the car, for `imagined`; default: fitted; samples: its dead time, for `trials`. The result depends on its
     arguments, engine and machine only. Two members train at once where two cores are there. Raises ValueError for no
     transitions, unlike columns, or nets of another layout than the problem's. Source: Riedmiller 2005 (NFQ, Rprop).
