@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from steerkit.car import recording as recordings
 from steerkit.car.config import shipped
+from steerkit.car.processes import fault_of
 from steerkit.car.server import CarServer
 from tests.support.recordings import LINES, chunks_of, flipped, small
 
@@ -30,45 +30,21 @@ def test_check_prints_what_is_read_and_written(cli: Any) -> None:
     assert all(0.1 < bend < straight for straight, bend in zip(seconds[::2], seconds[1::2]))
 
 
-def test_a_controller_that_is_not_known_names_the_valid_ones() -> None:
-    from steerkit.car.config import load
-    from steerkit.car.loop import controller_named
-    from steerkit.car.processes import fault_of
-
-    with pytest.raises(ValueError, match=r"valid: stanley, .*nfq \(the newest net in runs/car\), a learning run's"):
-        controller_named("stanly", load("dbw-kit.toml"))
+def test_a_fault_in_words() -> None:
     fault = fault_of("delay pose 2 0.2", 5.0)
     assert (fault.kind, fault.target, fault.start, fault.length, fault.amount) == ("delay", "pose", 5.0, 2.0, 0.2)
     with pytest.raises(ValueError, match="valid: drop, delay"):
         fault_of("dorp pose", 0.0)
 
 
-def test_a_recording_that_is_whole_replays_with_exit_code_0(drive: Path, cli: Any) -> None:
-    printed = cli("car", "replay", drive, "--controller", "stanley").out
-    count = len(recordings.read(drive).messages)
-    assert printed.startswith(f"{count} of {count} messages, ")
-    assert "READY -> ENGAGED: operator: engage" in printed
-    frames, same = re.search(r"server: (\d+) of (\d+) frames the same", printed).groups()  # type: ignore[union-attr]
-    assert frames == same != "0"
-    assert "stanley: " in printed
-    assert [f.name for f in drive.parent.iterdir()] == ["drive.mcap"]
-    printed = cli("car", "replay", drive, code=2).out
-    assert "cannot be replayed: the recording does not name who steered" in printed
-
-
 def test_a_damaged_recording_is_replayed_around_the_damage_with_exit_code_1(drive: Path, cli: Any) -> None:
+    assert "cannot be replayed: the recording does not name who steered" in cli("car", "replay", drive, code=2).out
     hurt = flipped(small(), 8 * (chunks_of(small())[-2].begin + 300))
     drive.write_bytes(hurt)
     printed = cli("car", "replay", drive, "--controller", "stanley", code=1).out
     assert f"{LINES} messages are missing between" in printed
     assert "what follows missing messages may replay differently" in printed
     assert drive.read_bytes() == hurt
-
-
-def test_a_recording_with_nothing_but_a_damaged_index_has_lost_nothing(drive: Path, cli: Any) -> None:
-    drive.write_bytes(small()[:-3])
-    printed = cli("car", "replay", drive, "--controller", "stanley").out
-    assert "no message is missing" in printed
 
 
 def test_a_recording_that_has_to_be_kept_has_to_be_made(

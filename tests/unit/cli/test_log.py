@@ -1,4 +1,4 @@
-"""`steerkit log` and `steerkit plot`; their mistakes stand in test_app.py."""
+"""What `steerkit log` says, and logs of other programs; mistakes stand in test_app.py."""
 
 from pathlib import Path
 from typing import Any
@@ -8,17 +8,6 @@ import pytest
 
 from steerkit.logs import read_drive
 from tests.support.written_logs import driven, written
-
-
-def test_a_log_is_shown_and_drawn(tmp_path: Path, cli: Any) -> None:
-    file, _ = written("csv", tmp_path, driven())
-    picture = tmp_path / "a.png"
-    printed = cli("log", file, "--plot", picture).out
-    assert "a drive of 24.9 s at 20 Hz" in printed or "a drive of 25.0 s at 20 Hz" in printed
-    assert f"next: steerkit identify {file} --out my-car.toml" in printed
-    assert picture.read_bytes()[:4] == b"\x89PNG"
-    channels = cli("log", file, "--json").json["channels"]
-    assert [row["quantity"] for row in channels] == ["delta_sw", "v", "r"]
 
 
 def test_the_next_command_keeps_what_was_said_and_a_long_name_is_not_cut(

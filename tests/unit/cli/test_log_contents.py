@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from steerkit.cli.log import contents, picture
+from steerkit.cli.log import contents
 from steerkit.logs import ColumnMap, read_log
 from tests.support.written_logs import driven, written
 
@@ -24,7 +24,6 @@ def test_rows_say_rate_gaps_and_range(tmp_path: Path) -> None:
     assert (rows["r"]["low"], rows["r"]["high"]) == (columns["r"].min(), columns["r"].max())
     assert found.drive is not None
     assert found.rows[0]["name"] == "delta_sw"
-    assert len(picture(found).axes) == 3
 
 
 def test_a_log_without_a_drive_says_why_and_what_could_be(tmp_path: Path) -> None:
@@ -33,7 +32,6 @@ def test_a_log_without_a_drive_says_why_and_what_could_be(tmp_path: Path) -> Non
     assert found.drive is None
     assert "which column is delta_sw, v? Columns: yaw_rate, other" in found.trouble
     assert {row["name"]: row["quantity"] for row in found.rows} == {"yaw_rate": "(r)", "other": ""}
-    assert len(picture(found).axes) == 2
     assert (
         "column for v 'speed' is not known"
         in contents(read_log(tmp_path / "a.csv"), ColumnMap.of({"v": "speed"})).trouble

@@ -1,15 +1,9 @@
-"""`steerkit prove`: the list, a table, a page, JSON, the exit code, limits of one's own; its mistakes: test_app.py."""
+"""`steerkit prove`: JSON, the exit code, limits of one's own, a log; its mistakes: test_app.py."""
 
 from pathlib import Path
 from typing import Any
 
-from steerkit.proving.manoeuvre import names
-
 LIMITS = '[[limit]]\nquantity = "yaw_delay"\nhigh = {high}\nsource = "ours"\n'
-
-
-def test_without_a_name_all_manoeuvres_are_listed(cli: Any) -> None:
-    assert [row["name"] for row in cli("prove", "--json").json["manoeuvres"]] == list(names())
 
 
 def test_a_manoeuvre_is_judged_by_a_user_s_limits_and_the_exit_code_says_so(tmp_path: Path, cli: Any) -> None:
@@ -22,15 +16,6 @@ def test_a_manoeuvre_is_judged_by_a_user_s_limits_and_the_exit_code_says_so(tmp_
         assert found["unverified"]
     words = ("sine-with-dwell", "--vehicle", "bmw-320i", "--limits", tmp_path / "limits.toml")
     assert cli("prove", *words, code=0).out.count("not evaluated") == 1, "no delay is told by a sine with dwell"
-
-
-def test_cars_stand_abreast_on_a_page(tmp_path: Path, cli: Any) -> None:
-    words = ("sine", "--vehicle", "vw-passat", "--vehicle", "fleet-7", "--report", tmp_path / "sine.html", "--quiet")
-    out = cli("prove", *words).out
-    assert "yaw_lag" in out
-    page = (tmp_path / "sine.html").read_text()
-    assert "vw-passat, simulated" in page
-    assert page.count("<img") >= 1
 
 
 def test_a_log_is_searched_and_several_manoeuvres_get_a_page_each(tmp_path: Path, cli: Any) -> None:
