@@ -8,8 +8,8 @@ import pytest
 from benchmarks.entries import CONTROLLERS, controller
 from benchmarks.foreign_cars import CARS
 from benchmarks.peers import agents as peers
-from benchmarks.report.page import html
 from benchmarks.report.verdict import ENOUGH
+from benchmarks.run.provenance import provenance
 from benchmarks.run.runner import run
 from benchmarks.run.trainings import TRAININGS
 from benchmarks.scenarios import facts, scene
@@ -30,9 +30,8 @@ def test_suites_hang_together() -> None:
             assert (learner.make is None) == learner.learns
             assert not learner.learns or learner.setting in {*SETTINGS, *peers.SETTINGS}
             assert learner.training in TRAININGS
-        needed = {
-            job.training for job in planned if job.kind == "drive" and CONTROLLERS[job.controller].kind == "learned"
-        }
+        drives = [job for job in planned if job.kind == "drive"]
+        needed = {job.training for job in drives if CONTROLLERS[job.controller].kind == "learned"}
         assert needed <= {job.id for job in planned if job.kind == "learn"}
     foreign = suite("foreign").scenarios
     assert len({scenario.name for scenario in foreign}) == len(foreign) == 2 * len(CARS)
@@ -40,11 +39,8 @@ def test_suites_hang_together() -> None:
     both = jobs([suite("paper"), suite("tracking")])
     assert sum(job.kind == "learn" for job in both) == 60  # shared, not learned twice
     assert len(jobs([suite("tracking")], 1)) == 3 + 14 * 10
+    assert suite("quick").seeds >= ENOUGH, "for its verdict"
     assert {job.scenario for job in jobs([suite("tracking")], only=["slalom-9"])} == {"slalom-9", "train-clean"}
-
-
-def test_the_selection_of_make_bench_has_seeds_enough_for_its_verdict() -> None:
-    assert suite("quick").seeds >= ENOUGH
 
 
 def test_a_suite_goes_elsewhere_where_it_has_no_course_or_car_of_its_own(tmp_path: Path) -> None:
@@ -75,31 +71,20 @@ def test_a_controller_of_ones_own_drives_a_suite_and_a_changed_file_is_not_mixed
         run([one], tmp_path / "results", seeds=1, workers=1, quiet=True)
 
 
-def test_on_cars_unlike_their_data_sheet_a_learner_is_trained_for_each_and_quickly_gone_on_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_cars_unlike_their_data_sheet_a_learner_is_trained_for_each() -> None:
     planned = jobs([suite("adapt")], 1)
     trained = [job for job in planned if job.kind == "learn"]
     assert len(trained) == len({job.id for job in trained}) == 2 * len(suite("adapt").scenarios)
     assert {job.training for job in planned if job.kind == "drive" and "nfq" in job.controller} == {
         job.id for job in trained
     }
-    monkeypatch.setitem(TRAININGS, "same-car-1", replace(TRAININGS["same-car-1"], minutes=0.15))
-    quick = replace(suite("adapt-quick"), controllers=("lqr", "lqr-oracle", "nfq-same-car-1"))
+    quick = suite("adapt-quick")
     (car,) = quick.scenarios
-    results = run([quick], tmp_path / "results", workers=1, quiet=True)
-    assert [case.status for case in results.cases] == ["done"] * 4
-    rms_e = {case.controller: case.metrics["rms_e"] for case in results.cases if case.kind == "drive"}
-    assert rms_e["lqr-oracle"] < 0.5 * rms_e["lqr"], "it knows the ratio and the tyres"
-    training = f"train-same-car-1-on-{car.name}"
-    assert results.protocol[training] | {"knowledge.delay": 0.0, "knowledge.lag": 0.0} == (
-        results.protocol[car.name] | {k: v for k, v in results.protocol[training].items() if k not in facts(car)}
+    protocol = provenance([quick], jobs([quick]), None)["scenarios"]
+    taught = protocol[f"train-same-car-1-on-{car.name}"]
+    assert taught | {"knowledge.delay": 0.0, "knowledge.lag": 0.0} == (
+        protocol[car.name] | {key: value for key, value in taught.items() if key not in facts(car)}
     )
-    times = [file.stat().st_mtime_ns for file in (tmp_path / "results" / "cases").glob("*.json")]
-    run([quick], tmp_path / "results", workers=1, quiet=True)
-    assert [file.stat().st_mtime_ns for file in (tmp_path / "results" / "cases").glob("*.json")] == times
-    text = html(results)
-    assert f"train-same-car-1-on-{car.name}: RMS e over driving time" in text
 
 
 def test_a_drive_without_chance_is_planned_once_and_one_with_it_for_every_seed() -> None:

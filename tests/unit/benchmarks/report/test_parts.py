@@ -31,49 +31,33 @@ def test_the_leaderboard_has_the_medians_of_the_cases(known: Results) -> None:
     assert rows[4].note == "not installed"
 
 
-def test_a_case_without_a_value_counts_as_worst(known: Results) -> None:
+def test_a_drive_that_was_not_held_or_without_a_value_counts_as_worst(known: Results) -> None:
     cases = [c for c in known.cases if c.suite == "tracking"]
-    assert parts.of_metric(cases, METRIC["rms_e"])[-2] == np.inf
+    assert parts.of_metric(cases, METRIC["rms_e"])[-2] == np.inf, "an error"
     assert parts.of_metric(cases, METRIC["share_within_5cm"])[-2] == -np.inf
+    lost = replace(cases[0], metrics={**cases[0].metrics, "held": 0.0})
+    assert parts.of_metric([cases[0], lost], METRIC["rms_e"]).tolist() == [cases[0].metrics["rms_e"], np.inf]
+    assert parts.of_metric([lost], METRIC["step_p50_us"])[0] == cases[0].metrics["step_p50_us"]
 
 
-def by_controller(cases: list[Case]) -> parts.Drives:
+def test_controllers_are_compared_seed_for_seed_and_a_drive_without_chance_counts_for_every_seed() -> None:
+    """Geometric means over scenarios."""
+
+    def made(controller: str, scenario: str, seed: int, rms_e: float) -> Case:
+        return Case(suite="s", scenario=scenario, controller=controller, seed=seed, metrics={"rms_e": rms_e})
+
+    a = [made("a", "chance", 0, 1.0), made("a", "chance", 1, 2.0), made("a", "none", 0, 5.0)]
+    b = [made("b", "chance", 0, 3.0), made("b", "chance", 1, 8.0), made("b", "none", 0, 5.0)]
+    np.testing.assert_allclose(parts.by_seed(a, METRIC["rms_e"]), [3.0, 3.5])
     table: parts.Drives = {}
-    for case in (c for c in cases if c.status == "done"):
+    for case in (*a, *b):
         table.setdefault(case.controller, {}).setdefault(case.scenario, {})[case.seed] = case
-    return table
-
-
-def test_the_comparison_is_paired_by_seed(known: Results) -> None:
-    cases = [c for c in known.cases if c.suite == "tracking"]
-
-    def seeds(name: str) -> list[float]:
-        rms_e = [[c.metrics["rms_e"] for c in cases if (c.controller, c.seed) == (name, s)] for s in SEEDS]
-        return np.log(rms_e).mean(axis=1).tolist()
-
-    found = parts.paired_logs(by_controller(cases), "pure-pursuit", "stanley", METRIC["rms_e"])
+    found = parts.paired_logs(table, "a", "b", METRIC["rms_e"])
     assert found is not None
-    assert found[0] == pytest.approx(seeds("pure-pursuit"))
-    assert found[1] == pytest.approx(seeds("stanley"))
-    assert found[2] == 2
-
-
-def test_a_drive_that_was_not_held_counts_as_worst_and_one_without_chance_for_every_seed(known: Results) -> None:
-    case = next(c for c in known.cases if c.suite == "tracking")
-    lost = replace(case, metrics={**case.metrics, "held": 0.0})
-    assert parts.of_metric([case, lost], METRIC["rms_e"]).tolist() == [case.metrics["rms_e"], np.inf]
-    assert parts.of_metric([lost], METRIC["step_p50_us"])[0] == case.metrics["step_p50_us"]
-
-    def made(scenario: str, seed: int, rms_e: float) -> Case:
-        return Case(suite="s", scenario=scenario, controller="c", seed=seed, metrics={"rms_e": rms_e})
-
-    cases = [made("chance", 0, 1.0), made("chance", 1, 2.0), made("none", 0, 5.0)]
-    np.testing.assert_allclose(parts.by_seed(cases, METRIC["rms_e"]), [3.0, 3.5])
-    others = [replace(c, controller="d", metrics={"rms_e": c.metrics["rms_e"] * 2.0}) for c in cases]
-    found = parts.paired_logs(by_controller([*cases, *others]), "d", "c", METRIC["rms_e"])
-    assert found is not None
-    assert found[0] - found[1] == pytest.approx([np.log(2.0)] * 2)
-    assert found[2] == 2
+    ours, theirs, scenarios = found
+    np.testing.assert_allclose(np.exp(2.0 * ours), [5.0, 10.0])
+    np.testing.assert_allclose(np.exp(2.0 * theirs), [15.0, 40.0])
+    assert scenarios == 2
 
 
 def test_numbers_are_written_for_people() -> None:

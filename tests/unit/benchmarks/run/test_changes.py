@@ -12,12 +12,9 @@ from benchmarks.run.changes import CHANGES, SAFE, Job, best_of, carried, driven,
 from steerkit.diagram.simulation import simulate
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.metrics.signals import rms
-from steerkit.plants.disturbed_plant import DisturbedPlant
-from steerkit.plants.single_track import NonlinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
 from steerkit.scenario import drive
 from steerkit.task import DT
-from steerkit.vehicles import VW_PASSAT
 
 
 def job(change: str, minutes: float = 0.02) -> Job:
@@ -50,10 +47,7 @@ def test_commands_on_their_way_take_the_new_delay() -> None:
     """Of commands 0, 1, 2 ... sent before, the wheel shows each in turn, after the gap that the new delay makes."""
 
     def angles(first: float, then: float) -> list[float]:
-        old, new = (
-            SteeringActuator(delay=first, lag=0.0, rate_limit=200.0),
-            SteeringActuator(delay=then, lag=0.0, rate_limit=200.0),
-        )
+        old, new = (SteeringActuator(delay=delay, lag=0.0, rate_limit=200.0) for delay in (first, then))
         x: Any = old.init()
         seen = []
         for k in range(12):
@@ -70,29 +64,15 @@ def test_commands_on_their_way_take_the_new_delay() -> None:
     assert angles(0.0, 0.02) == [1, 2, 3, 4, 5, 6, 6, 6, 7, 8, 9, 10]
 
 
-def test_a_car_that_is_pushed_from_now_on_goes_on_from_where_it_was() -> None:
-    car = NonlinearSingleTrack(vehicle=VW_PASSAT, v0=7.0)
-    pushed = DisturbedPlant(block=car, bank=0.5)
-    x = car.init()._replace(psi=0.3)
-    there = carried(car, pushed, x)
-    assert pushed.output(0.0, there, ()).psi == 0.3
-    assert carried(pushed, car, there) == x
-
-
-def test_parts_that_were_not_there_are_refused() -> None:
-    before = phases(job("gnss"))[0].with_(sensors={"noise": 0.0, "latency": 0.0})
-    run = LearningRun(Experiment(setting=SAFE, scenario=before, minutes=1.0))
-    with pytest.raises(ValueError, match="sensors: NoneType becomes Sensors; expected both or neither"):
-        exchange(run, phases(job("gnss"))[1])
-
-
 def test_a_bias_walks_and_all_else_changes_at_once() -> None:
-    run, starts, failures = driven(*split("gnss"), job("gnss"))
+    before, *later = phases(job("gnss"))
+    run, starts, failures = driven(before, later, job("gnss"))
     sensors: Any = run.loop.blocks["sensors"]
     assert starts == pytest.approx([1.2, 2.4])
     assert sensors.x_bias == pytest.approx(2.0 * 0.1 / 20.0), "a step at once, and one after a second"
     assert len(failures) == 1
-    run, starts, failures = driven(*split("delay"), job("delay"))
+    before, *later = phases(job("delay"))
+    run, starts, failures = driven(before, later, job("delay"))
     actuator: Any = run.loop.blocks["actuator"]
     assert (actuator.delay, len(starts), len(failures)) == (0.1, 3, 2)
 
@@ -113,11 +93,6 @@ def test_the_policy_forecasts_over_the_delay_that_the_filter_finds() -> None:
     guarded: Any = run.loop.blocks["controller"]
     assert guarded.block is run.policy
     assert run.counts.changed == pytest.approx(len(run.transitions) - 40, abs=1)
-
-
-def split(change: str) -> tuple[Any, Any]:
-    before, *later = phases(job(change))
-    return before, later
 
 
 def test_the_best_drives_the_same_way_under_the_same_noise() -> None:

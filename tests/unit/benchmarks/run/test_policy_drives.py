@@ -11,6 +11,8 @@ from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import simulate
 from steerkit.doe import Integrator
 from steerkit.learning.learner_state import untrained
+from steerkit.learning.nfq import iterate as nfq
+from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import DEFAULT
 from steerkit.scenario import Scenario
 from steerkit.scenario.drive import assembled, controller, drive_loop
@@ -28,7 +30,8 @@ FORECAST = DelayCompensator(samples=3, now=0.02, before=0.03, earlier=0.01, back
     "policy",
     [
         learned(),
-        learned(nets=untrained(DEFAULT, 7).nets[:1]),  # type: ignore[index]
+        learned(nets=untrained(DEFAULT, 7).nets[:1], actions=(-0.5, 0.5)),  # type: ignore[index]
+        learned(nets=nfq.fresh_nets(FitSetting(nets=3, hidden=(6,)), DEFAULT.description(), seed=9)),
         *(learned(forecast=replace(FORECAST, samples=n, loss=0.002, straight=0.05)) for n in (0, 1, LONGEST)),
     ],
 )

@@ -29,11 +29,7 @@ def results(written: Results, tmp_path: Path) -> Results:
 
 def test_read_as_written(results: Results) -> None:
     again = load_results(results.place)
-    assert [case.id for case in again.cases] == [case.id for case in results.cases]
-    for one, two in zip(results.cases, again.cases, strict=True):
-        assert (one.status, one.error, one.digest, one.kind) == (two.status, two.error, two.digest, two.kind)
-        for name, value in one.metrics.items():
-            assert two.metrics[name] == value or (math.isnan(value) and math.isnan(two.metrics[name]))
+    assert repr(again.cases) == repr(results.cases)
     learner = next(case for case in again.cases if case.kind == "learn")
     assert len(again.curve(learner)["t"]) == 29
     assert len(again.trajectory(again.cases[0])["t"]) == 600
@@ -75,34 +71,29 @@ def test_a_broken_case_is_named(results: Results, text: str) -> None:
         load_results(results.place)
 
 
-def test_other_files_are_not_mixed_in(results: Results, tmp_path: Path) -> None:
-    (tmp_path / "c").mkdir()
-    (tmp_path / "c" / "letter.txt").write_text("dear")
-    with pytest.raises(ValueError, match="not empty and holds no results"):
-        Store(tmp_path / "c").open(results.provenance)
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
     [("source", "1" * 16), ("versions", {"python": "3.11.0", "numpy": "2.0.1"}), ("versions", {"python": "3.11.0"})],
 )
-def test_a_run_is_not_resumed_with_other_sources_or_package_versions(results: Results, key: str, value: object) -> None:
+def test_a_run_is_not_resumed_with_other_sources_or_package_versions_nor_among_other_files(
+    results: Results, key: str, value: object, tmp_path: Path
+) -> None:
     before = (results.place / "provenance.json").read_bytes()
     with pytest.raises(ValueError, match=f"another state of the program \\({key} "):
         Store(results.place).open({**results.provenance, key: value})
     assert (results.place / "provenance.json").read_bytes() == before
+    with pytest.raises(ValueError, match="not empty and holds no results"):
+        Store(tmp_path).open(results.provenance)
 
 
 def test_a_suite_that_joins_later_leaves_the_first_ones_cases(results: Results) -> None:
-    place, store = results.place, Store(results.place)
+    store = Store(results.place)
     windy = {"course.name": "paper", "disturbances.wind": 1.0, "told": [1, 2]}
     later = {**results.provenance, "suites": {"weather": "later"}, "scenarios": {"windy": windy}}
-    later |= {"planned": ["weather--windy--stanley--s9"], "seeds": [9]}
-    store.open(later)
-    assert [case.id for case in load_results(place).cases] == [case.id for case in results.cases]
+    store.open(later | {"planned": ["weather--windy--stanley--s9"], "seeds": [9]})
     store.keep(Case(suite="weather", scenario="windy", controller="stanley", seed=9, metrics={"rms_e": 1.0}))
-    joined = load_results(place)
-    assert len(joined.cases) == len(results.cases) + 1
+    joined = load_results(results.place)
+    assert repr(joined.cases[:-1]) == repr(results.cases)
     assert joined.missing == (NEVER,)
     assert joined.provenance["seeds"] == [0, 1, 9]
     assert set(joined.provenance["suites"]) == {"tracking", "paper", "robustness", "weather"}
@@ -112,12 +103,11 @@ def test_a_suite_that_joins_later_leaves_the_first_ones_cases(results: Results) 
 
 def test_a_number_that_was_never_measured_is_no_number(results: Results) -> None:
     learner = next(case for case in results.cases if case.kind == "learn")
-    store = Store(results.place)
-    store.keep(changed(learner, max_jerk=math.nan, good_minutes=math.inf))
-    learners = {case.seed: case for case in load_results(store.place).cases if case.kind == "learn"}
-    assert math.isnan(learners[learner.seed].metrics["max_jerk"])
-    assert learners[learner.seed].metrics["good_minutes"] == math.inf
-    assert all(math.isnan(case.cpu_seconds) for case in learners.values())
+    Store(results.place).keep(changed(learner, max_jerk=math.nan, good_minutes=math.inf))
+    (again,) = [case for case in load_results(results.place).cases if case.id == learner.id]
+    assert math.isnan(again.metrics["max_jerk"])
+    assert again.metrics["good_minutes"] == math.inf
+    assert math.isnan(again.cpu_seconds)
 
 
 def test_a_case_that_is_killed_while_it_is_kept_is_not_finished(results: Results) -> None:

@@ -1,27 +1,23 @@
 """The runner: the same numbers whatever carries them out, and no finished case is lost."""
 
 import math
-import signal
-import sys
-import threading
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.entries import controller
 from benchmarks.run import runner, spread
-from benchmarks.run.compare import compare
 from benchmarks.run.drives import shape
 from benchmarks.run.results import Results, load_results
 from benchmarks.run.runner import carry_out, run
 from benchmarks.run.spread import WorkersDiedError
+from benchmarks.run.trainings import TRAININGS
 from benchmarks.suites import jobs, suite
 from tests.support import programs
-from tests.support.places import ROOT
 from tests.support.tiny_suite import TINY, same
 
 
@@ -42,36 +38,6 @@ def test_processes_give_the_same_numbers_and_finished_cases_are_not_run_again(
     more = run([TINY], place, workers=1, seeds=4, quiet=True)  # one more seed: only that is driven
     assert len(more.cases) == 8
     assert {n: (place / "cases" / n).stat().st_mtime_ns for n in kept} == kept
-
-
-def test_a_killed_run_goes_on_and_loses_no_finished_case(reference: Results, tmp_path: Path) -> None:
-    place = tmp_path / "killed"
-    program = f"""
-import sys, time
-sys.path[:0] = [{str(ROOT)!r}]
-from benchmarks.run import runner, spread
-from tests.unit.benchmarks.run.test_runner import TINY
-whole = runner.carry_out
-def slow(work):
-    done = whole(work)
-    time.sleep(0.3)
-    return done
-runner.carry_out = slow
-runner.run([TINY], {str(place)!r}, workers=1, quiet=True)
-"""
-    with programs.Forked([sys.executable, "-c", program]) as process:
-        until = time.monotonic() + 120.0
-        while len(list(place.glob("cases/*.json"))) < 2 and process.poll() is None:
-            assert time.monotonic() < until
-            time.sleep(0.02)
-        process.send_signal(signal.SIGKILL)
-    assert process.returncode == -signal.SIGKILL
-    left = load_results(place)
-    assert 2 <= len(left.cases) < 6
-    assert left.missing
-    kept = {case.id: (place / "cases" / f"{case.id}.json").stat().st_mtime_ns for case in left.cases}
-    same(run([TINY], place, workers=1, quiet=True), reference)
-    assert {n: (place / "cases" / f"{n}.json").stat().st_mtime_ns for n in kept} == kept
 
 
 class Bomb:
@@ -126,13 +92,10 @@ def test_what_goes_wrong_in_a_case_is_its_result(tmp_path: Path) -> None:
 
 
 def test_a_learner_is_taught_once_and_its_net_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from benchmarks.run import trainings
-
-    short = replace(trainings.TRAININGS["clean"], minutes=0.2)
-    monkeypatch.setitem(trainings.TRAININGS, "clean", short)
+    for name in ("clean", "published"):
+        monkeypatch.setitem(TRAININGS, name, replace(TRAININGS["clean"], minutes=0.2))
     one = replace(TINY, controllers=("stanley", "nfq-paper-idoe"), seeds=1)
     two = replace(one, name="tracking", scenarios=(TINY.scenarios[0].with_(name="slow", driver={"v_max": 5.0}),))
-    monkeypatch.setitem(trainings.TRAININGS, "published", short)
     results = run([one, two], tmp_path / "learn", workers=1, quiet=True)
     assert [case.kind for case in results.cases] == ["learn", "drive", "drive", "drive", "drive"]
     taught = results.cases[0]
@@ -142,23 +105,21 @@ def test_a_learner_is_taught_once_and_its_net_drives(tmp_path: Path, monkeypatch
     curve = results.curve(taught)
     assert curve is not None
     assert len(curve["t"]) == taught.metrics["trainings"]
-    assert (curve["t"][:-1] <= curve["t"][1:]).all()
     again = run([replace(one, name="paper")], tmp_path / "again", workers=1, quiet=True)
     assert again.cases[0].metrics == taught.metrics
-    assert compare(results, again, rel=0.0, absolute=0.0).changes == ()
     driven = [case for case in results.cases if case.controller == "nfq-paper-idoe" and case.kind == "drive"]
     assert all(0.0 < case.metrics["rounds"] <= 1.0 for case in driven)
 
 
 def test_files_that_workers_hand_back_are_written_by_whoever_asked(reference: Results, tmp_path: Path) -> None:
-    """The same files as a worker of this machine writes, and a full disk is no silence."""
+    """The same files as a worker of this machine writes."""
     store = runner.Store(tmp_path / "results")
     store.open(reference.provenance)
     scenario = {one.name: one for one in TINY.scenarios}
     done = carry_out(runner.work_of(jobs([TINY])[0], scenario, {}, store, None))
     case = done.case
     assert set(done.files or ()) == {f"trajectories/{case.id}.npz", f"cases/{case.id}.json"}
-    assert list(done.files or ())[-1] == f"cases/{case.id}.json"
+    assert list(done.files or ())[-1] == f"cases/{case.id}.json", "last: then it has finished"
     assert not store.has(case.id)
     kept = list(runner.kept(iter([done, runner.Done(replace(case, seed=7))]), store))
     assert [(one.case.seed, one.files) for one in kept] == [(case.seed, None), (7, None)]
@@ -166,32 +127,17 @@ def test_files_that_workers_hand_back_are_written_by_whoever_asked(reference: Re
     (theirs,) = [one for one in reference.cases if one.id == case.id]
     assert mine.metrics == theirs.metrics
     one, other = (results.trajectory(theirs) for results in (reference, load_results(store.place)))
-    assert one is not None
-    assert other is not None
-    assert {name: values.tobytes() for name, values in one.items()} == {n: v.tobytes() for n, v in other.items()}
-    with pytest.raises(FileNotFoundError, match="no such folder"):
-        list(runner.kept(iter([done]), runner.Store(tmp_path / "nowhere")))
+    np.testing.assert_equal(one, other)
 
 
 def test_one_case_that_cannot_be_written_is_told_while_others_can(
     reference: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store, case, failed = runner.Store(tmp_path), reference.cases[0], threading.Event()
-
-    def write(files: object) -> None:
-        failed.set()
-        raise OSError("no space left on device")
-
-    def coming() -> Iterator[runner.Done]:
-        yield runner.Done(case, {"cases/one.json": b""})
-        failed.wait(10.0)
-        for _ in range(3):
-            time.sleep(0.05)
-            yield runner.Done(case)
-
-    monkeypatch.setattr(store, "write", write)
-    with pytest.raises(OSError, match="no space left"):
-        list(runner.kept(coming(), store))
+    store, case = runner.Store(tmp_path), reference.cases[0]
+    monkeypatch.setattr(store, "write", lambda files: tmp_path.write_bytes(b"a folder"))
+    done = [runner.Done(case, {"cases/one.json": b""}), *[runner.Done(case)] * 3]
+    with pytest.raises(IsADirectoryError):
+        list(runner.kept((time.sleep(0.05) or one for one in done), store))  # type: ignore[func-returns-value]
 
 
 def test_drives_that_are_compiled_alike_are_handed_out_together(tmp_path: Path) -> None:

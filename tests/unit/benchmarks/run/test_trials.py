@@ -11,9 +11,9 @@ from benchmarks.run import trials
 from benchmarks.run.trials import TrialDrive, drive_each, train
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.stanley import Stanley
-from steerkit.learning.nfq import iterate as nfq
+from steerkit.learning.learner_state import untrained
 from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.settings import BANG_BANG, DEFAULT
+from steerkit.learning.settings import DEFAULT
 from steerkit.metrics import of_log
 from steerkit.paths.courses import straight
 from steerkit.scenario import Scenario
@@ -24,15 +24,17 @@ WORLD = Scenario(course="circle")
 SETTING = replace(DEFAULT, fit=FitSetting(nets=2, hidden=(5,)))
 
 
-def policy(seed: int, actions: tuple[float, ...] = SETTING.actions) -> NfqPolicy:
-    description = SETTING.description()
-    nets = nfq.fresh_nets(SETTING.fit, description, seed=seed)
-    return NfqPolicy(nets=nets, actions=actions, description=description)
+def policy(seed: int) -> NfqPolicy:
+    return untrained(SETTING, seed)
 
 
 def test_each_is_judged_as_if_it_drove_alone() -> None:
+    """By one program, which does to the last bit what is interpreted: test_policy_drives.py."""
     policies = [policy(seed) for seed in range(5)]
+    trials._drives.cache_clear()
     results = drive_each(WORLD, SETTING, policies, seed=3)
+    assert trials._drives.cache_info().misses == 1
+    assert len({result.rounds for result in results}) > 1
     for one, result in zip(policies, results):
         log = evaluate.drive(WORLD, one, doe=SETTING.element(), seed=3, only_while_held=True)
         held = log["supervisor.learning"] > 0.5
@@ -49,21 +51,6 @@ def test_the_metrics_are_those_of_the_part_it_drove(tmp_path: Path) -> None:
     log = evaluate.drive(scenario, replace(lazy, nets=zero), doe=SETTING.element(), rounds=1.0)
     assert result.held
     assert result.summary == of_log(log)
-
-
-def test_compiled_and_interpreted_they_are_the_same_whatever_the_layout() -> None:
-    """To the last bit, by one program, for nets of another number and size and other actions too."""
-    more = [
-        replace(policy(9), nets=nfq.fresh_nets(FitSetting(nets=3, hidden=(6,)), SETTING.description(), seed=9)),
-        replace(policy(8), nets=policy(8).nets + policy(7).nets),
-    ]
-    policies = [policy(1), *more, policy(2), policy(0, BANG_BANG.actions)]
-    trials._drives.cache_clear()
-    compiled = [trials._drive_one(WORLD, SETTING, one, 3, compiled=True) for one in policies]
-    assert trials._drives.cache_info().misses == 1
-    assert compiled == [trials._drive_one(WORLD, SETTING, one, 3, compiled=False) for one in policies]
-    assert len({drive.rounds for drive in compiled}) > 1
-    assert drive_each(WORLD, SETTING, []) == []
 
 
 def test_good_is_held_and_within_all_bounds() -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.peers import python_control
 from benchmarks.scenarios import of_fleet
 from benchmarks.studies import foreign, learning, safety, throughput
 from steerkit.learning.experiment import Experiment
@@ -15,30 +16,22 @@ from steerkit.task import DT
 NAN = math.nan
 
 
-def test_a_seed_that_never_learned_counts_as_infinite() -> None:
-    final = dict.fromkeys(("final_rms_e", "final_max_e", "final_wheel_rate_deg"), 0.0)
-    other: dict[str, Any] = dict.fromkeys(("held", "failures", "last_nets_hold", "longest_training"), 0.0) | final
+def test_medians_and_worst_cases_count_who_never_got_there_as_infinite() -> None:
+    other: dict[str, Any] = dict.fromkeys(("held", "failures", "last_nets_hold", "longest_training"), 0.0)
+    other |= dict.fromkeys(("final_rms_e", "final_max_e", "final_wheel_rate_deg"), 0.0)
     times = [(100.0, 200.0), (900.0, None), (None, None)]
-    figures = learning.of_seeds([{"first_round_done": done, "good": good, **other} for done, good in times])
-    assert (figures["first_round_done_median"], figures["first_round_done_worst"]) == (900.0, math.inf)
-    assert (figures["good_median"], figures["good_worst"]) == (math.inf, math.inf)
-    assert (figures["round_share"], figures["good_share"]) == pytest.approx((2 / 3, 1 / 3))
-
-
-def test_medians_and_worst_cases_count_a_car_that_never_got_there_as_infinite() -> None:
+    seeds = learning.of_seeds([{"first_round_done": done, "good": good, **other} for done, good in times])
+    assert (seeds["first_round_done_median"], seeds["first_round_done_worst"]) == (900.0, math.inf)
+    assert (seeds["round_share"], seeds["good_share"]) == pytest.approx((2 / 3, 1 / 3))
     beside = dict(rms_x_oracle=0.9, wheel_x_oracle=1.0, jerk_x_oracle=1.1, rms_x_data_sheet=0.3)
     fine: dict[str, Any] = dict(good=10.0, failures=1, departure=2.0, stuck=0, held=True, **beside)
-    slow = fine | dict(good=30.0, rms_x_oracle=1.2, failures=3)
+    slow = fine | dict(good=30.0, rms_x_oracle=1.2, failures=3, departure=7.0)
     lost = fine | dict(good=None, held=False, rms_x_oracle=math.inf)
-    two = learning.of_cars([fine, slow])
-    assert (two["good_share"], two["good_median_s"], two["good_worst_s"]) == (1.0, 20.0, 30.0)
-    assert (two["rms_x_oracle"], two["worst_rms_x_oracle"]) == pytest.approx((1.05, 1.2))
-    three = learning.of_cars([fine, slow, lost])
-    assert (three["good_share"], three["held_share"]) == pytest.approx((2 / 3, 2 / 3))
-    assert (three["good_worst_s"], three["worst_rms_x_oracle"]) == (math.inf, math.inf)
-    assert (three["rms_x_oracle"], three["failures_worst"]) == (1.2, 3)
-    far = learning.of_cars([fine, fine | dict(departure=7.0)])
-    assert (far["departure_median_m"], far["departure_worst_m"]) == (4.5, 7.0)
+    cars = learning.of_cars([fine, slow, lost])
+    assert (cars["good_share"], cars["held_share"]) == pytest.approx((2 / 3, 2 / 3))
+    assert (cars["good_median_s"], cars["good_worst_s"]) == (30.0, math.inf)
+    assert (cars["rms_x_oracle"], cars["worst_rms_x_oracle"], cars["failures_worst"]) == (1.2, math.inf, 3)
+    assert (cars["departure_median_m"], cars["departure_worst_m"]) == (2.0, 7.0)
 
 
 def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,8 +46,9 @@ def test_a_car_that_hardly_learned_is_told_as_it_is(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.filterwarnings("ignore:Unused output")
 def test_ways_that_compute_something_else_are_not_timed(monkeypatch: pytest.MonkeyPatch) -> None:
-    run = throughput.python_control.run
-    monkeypatch.setattr(throughput.python_control, "run", lambda made, steps: run(made, steps) + 1e-9)
+    """Their agreement itself: the study's quick form."""
+    run = python_control.run
+    monkeypatch.setattr(python_control, "run", lambda made, steps: run(made, steps) + 1e-9)
     with pytest.raises(SystemExit, match=r"the ways disagree by 1\.00e-09 m"):
         throughput.require_equal_runs(throughput.closed_loop())
 
@@ -98,11 +92,7 @@ def test_what_a_learner_on_a_foreign_car_never_did_counts_as_worst() -> None:
     assert (f["good_share"], f["good_median_s"], f["good_worst_s"]) == (0.75, 30.0, math.inf)
     assert f["best_good_share"] == 0.25
     assert (f["rms_x_best_told"], f["rms_x_best_told_torque"], f["rms_x_best_told_others"]) == (0.9, 0.9, 0.8)
-    assert (f["rms_x_best_told_worst"], f["wheel_spread_nets"], f["wheel_spread_nets_worst"]) == (
-        math.inf,
-        1.2,
-        math.inf,
-    )
+    assert (f["wheel_spread_nets"], f["rms_x_best_told_worst"], f["wheel_spread_nets_worst"]) == (1.2, *2 * [math.inf])
 
 
 def test_the_worst_change_and_the_widest_spread_count() -> None:
