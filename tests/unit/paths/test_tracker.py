@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from steerkit.paths import courses
 from steerkit.paths.tracker import PathTracker
@@ -20,18 +18,6 @@ def pose_beside(path, s, e, psi_e):
 
 def inputs(tracker, pose, v=5.0, beta=0.02, r=0.1):
     return tracker.D(*(float(a) for a in pose), v, beta, r)
-
-
-@given(s=st.floats(0.0, 795.0), e=st.floats(-3.0, 3.0), psi_e=st.floats(-1.0, 1.0))
-def test_the_place_is_found_wherever_the_car_starts(s, e, psi_e):
-    tracker = PathTracker(path=PAPER)
-    u = inputs(tracker, pose_beside(PAPER, s, e, psi_e))
-    state = tracker.settle(0.0, tracker.init(), u)
-    y = tracker.output(0.0, state, u)
-    assert math.remainder(y.s - s, PAPER.length) == pytest.approx(0.0, abs=1e-6)
-    assert 0.0 <= y.s <= PAPER.length
-    assert (y.e, y.psi_e) == (pytest.approx(e, abs=1e-7), pytest.approx(psi_e, abs=1e-6))
-    assert y.progress == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("along", [-0.6, -0.2, 0.0, 0.3, 0.7])
@@ -84,45 +70,6 @@ def test_beyond_the_end_of_an_open_path_neither_s_nor_progress_goes_on():
         assert y.progress == pytest.approx(min(5.0, now.x - 45.0), abs=1e-9)
         assert y.e == pytest.approx(0.3)
         state = tracker.update(0.0, state, now, y)
-
-
-@pytest.mark.parametrize("path", [PAPER, courses.course("genesis-rfs")], ids=["closed", "open"])
-def test_a_batch_equals_its_cars_one_by_one(path):
-    rng = np.random.default_rng(1)
-    n = 300  # more than one group of the search
-    s, e, psi_e = rng.uniform(-2.0, path.length + 2.0, n), rng.uniform(-2.0, 2.0, n), rng.uniform(-0.5, 0.5, n)
-    reference = rng.uniform(0.0, 2.0, n)
-    poses = np.array([pose_beside(path, *row) for row in zip(s, e, psi_e)])
-    many = PathTracker(path=path, reference=reference, preview_points=3)
-    u = many.D(*poses.T, np.linspace(0.0, 9.0, n), np.full(n, 0.02), np.full(n, 0.1))
-    state = many.settle(0.0, many.init((n,)), u)
-    y = many.output(0.0, state, u)
-    later = many.update(0.0, state, u, y)
-    again = many.output(0.05, later, u)
-    for k in range(0, n, 7):
-        one = PathTracker(path=path, reference=float(reference[k]), preview_points=3)
-        u1 = one.D(*(float(a[k]) for a in u))
-        x1 = one.settle(0.0, one.init(), u1)
-        y1 = one.output(0.0, x1, u1)
-        z1 = one.output(0.05, one.update(0.0, x1, u1, y1), u1)
-        for batch, single in ((y, y1), (again, z1)):
-            assert np.allclose([a[k] for a in (*batch[:7], *batch.preview)], [*single[:7], *single.preview], atol=1e-9)
-
-
-@settings(max_examples=10)
-@given(start=st.floats(0.0, 188.0), v=st.floats(-5.0, 9.0))
-def test_round_after_round_s_wraps_and_progress_does_not(start, v):
-    path = courses.circle(30.0)
-    tracker, s, state = PathTracker(path=path), start, None
-    for k in range(500):
-        u = tracker.D(30.0 * math.sin(s / 30.0), 30.0 - 30.0 * math.cos(s / 30.0), s / 30.0, v, 0.0, v / 30.0)
-        state = tracker.settle(0.0, tracker.init(), u) if state is None else state
-        y = tracker.output(k * 0.05, state, u)
-        state = tracker.update(k * 0.05, state, u, y)
-        assert 0.0 <= y.s <= path.length
-        s += 0.05 * v
-    assert y.progress == pytest.approx(v * 0.05 * 499, abs=1e-6)
-    assert math.remainder(y.s - (s - 0.05 * v), path.length) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_after_a_jump_of_the_measured_position_the_place_is_found_again():

@@ -20,12 +20,6 @@ def test_lane_changes_ask_the_lateral_acceleration_they_are_made_for(part: int, 
     assert (y.min(), y.max()) == (pytest.approx(0.0, abs=1e-3), pytest.approx(offset, abs=1e-3))
 
 
-@pytest.mark.parametrize(("part", "speed"), [(3, 9.0), (1, 0.0)])
-def test_another_lane_change_is_refused(part: int, speed: float) -> None:
-    with pytest.raises(ValueError, match=r"valid: 1, 2|expected > 0"):
-        lane_change(part, speed=speed)
-
-
 def test_courses_are_those_written_down() -> None:
     """Length, number of knots, weighted sums of their numbers; whoever changes one on purpose replaces its line."""
     plan = [(20.0, 90.0, 9.0, 5.0), (30.0, 180.0, 12.0, 0.0), (5.0, 0.0, 1.0, 0.0), (30.0, 90.0, 8.0, 7.5)]

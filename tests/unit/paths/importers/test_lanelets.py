@@ -161,34 +161,6 @@ def test_maps_that_lack_something_are_refused(parts: tuple[str, ...], message: s
         contents(str(osm_file(tmp_path / "a.osm", *parts)))
 
 
-def test_one_faulty_lanelet_leaves_the_others(tmp_path: FilePath) -> None:
-    goal = '<planningProblem id="7"><goalState><position><lanelet ref="3"/></position></goalState></planningProblem>'
-    crossed = f'<lanelet id="9">{bound("left", 0, 0, 9)}{bound("right", 3, 0, 9)}</lanelet>'
-    file = scenario(tmp_path / "a.xml", lanelet(1, 0, 40, after=3), crossed, lanelet(3, 40, 90), goal)
-    made = read_course(f"{file}#lanelet=1,to=3")
-    assert made.path.length == pytest.approx(90.0, abs=1e-6)
-    assert any("1 faulty lanelets are left out: 9 (its left bound is on the right)" in note for note in made.notes)
-    with pytest.raises(ValueError, match="lanelet 9 is faulty: its left bound is on the right; there is lanelet 1"):
-        read_course(f"{file}#lanelet=9")
-    ways = way(11, 1, 2, highway="road"), way(12, 2, 99, highway="road")
-    assert osm(str(osm_file(tmp_path / "a.osm", *ways))).faulty == {"12": "node 99 is not in the file: cut out?"}
-
-
-@pytest.mark.parametrize("turn", [0.0, 1.6, 3.1, 4.7])
-def test_left_is_left_whichever_way_a_lanelet_leads(turn: float, tmp_path: FilePath) -> None:
-    c, s = np.cos(turn), np.sin(turn)
-
-    def side(name: str, y: float) -> str:
-        rows = "".join(f"<point><x>{c * x - s * y}</x><y>{s * x + c * y}</y></point>" for x in (0.0, 10.0, 20.0))
-        return f"<{name}Bound>{rows}</{name}Bound>"
-
-    file = scenario(tmp_path / "a.xml", f'<lanelet id="1">{side("left", 1.5)}{side("right", -1.5)}</lanelet>')
-    assert commonroad(str(file)).pieces["1"].length == pytest.approx(20.0)
-    scenario(file, f'<lanelet id="1">{side("left", -1.5)}{side("right", 1.5)}</lanelet>')
-    with pytest.raises(ValueError, match="its left bound is on the right"):
-        commonroad(str(file))
-
-
 @pytest.mark.parametrize("flipped", [(0, 0), (1, 0), (0, 1), (1, 1)])
 def test_bounds_may_begin_far_apart_and_run_either_way(flipped: tuple[int, int], tmp_path: FilePath) -> None:
     """As in Autoware's maps: a short lanelet whose left bound and right bound begin 12 m apart along the road."""
@@ -203,11 +175,3 @@ def test_bounds_may_begin_far_apart_and_run_either_way(flipped: tuple[int, int],
     assert np.diff(line[:, 0]).min() > 0.0
     assert line[:, 0] == pytest.approx(np.linspace(6.0, 36.0, len(line)), abs=0.1)
     assert np.ptp(line[:, 1]) < 1e-3
-
-
-def test_an_xml_file_is_known_by_its_first_element(tmp_path: FilePath) -> None:
-    file = tmp_path / "a.xml"
-    file.write_text("<svg/>")
-    told = "its first element is <svg>, expected one of <commonRoad>, <osm>, <OpenDRIVE>"
-    with pytest.raises(ValueError, match=told):
-        contents(str(file))

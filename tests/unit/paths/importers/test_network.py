@@ -89,12 +89,3 @@ def test_lanes_are_asked_for_where_there_are_several() -> None:
     assert line.xy[0].tolist() == [0.0, -2.0]
     assert notes[0] == "road 1, lane -2 at its beginning"
     assert road.length_of("1") == 40.0
-
-
-def test_speed_limits_of_some_pieces_only() -> None:
-    fast = np.linspace((40, 0), (60, 10), 11)
-    limited = Piece(group="b", length=22.4, next=("c",), line=lambda: Line(xy=fast, v_limit=np.full(11, 8.0)))
-    line, _, _ = town(b=limited).route({"way": "a", "to": "c"}, "town")
-    assert line.v_limit is not None
-    assert np.isnan(line.v_limit[:11]).all()
-    assert (line.v_limit[11:21] == 8.0).all()

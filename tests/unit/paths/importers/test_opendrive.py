@@ -112,15 +112,6 @@ def test_speeds_of_road_and_lane(tmp_path: FilePath) -> None:
     assert math.isnan(limit[-1])
 
 
-def test_elevation_and_superelevation_are_not_used(tmp_path: FilePath) -> None:
-    level = '<elevationProfile><elevation s="0" a="10"/></elevationProfile>'
-    flat = road_files.by_hand(tmp_path / "flat.xodr", ARC, length=60.0, more=level)
-    hill = '<elevationProfile><elevation s="0" a="10" b="0.05" c="0" d="0"/></elevationProfile>'
-    bank = '<lateralProfile><superelevation s="0" a="0.04" b="0" c="0" d="0"/></lateralProfile>'
-    steep = road_files.by_hand(tmp_path / "steep.xodr", ARC, length=60.0, more=hill + bank)
-    assert np.array_equal(centre(flat, "1", -1).xy, centre(steep, "1", -1).xy)
-
-
 def test_routes_through_a_junction(tmp_path: FilePath) -> None:
     file = road_files.junction(tmp_path / "town.xodr")
     made = read_course(f"{file}#road=1,lane=-1,to=2")
