@@ -39,21 +39,19 @@ def test_well_known_names(quantity: str, name: str, unit: str) -> None:
     assert ended_unit(quantity, name) == unit
 
 
-def test_a_measurement_goes_before_a_wish_and_a_known_kind_before_a_name() -> None:
+def test_a_measurement_goes_before_a_wish_a_known_kind_before_a_name_and_often_before_seldom() -> None:
     wish, report = channel("/control/command.yaw_rate"), channel("/status.yaw_rate", rate=10.0)
     assert candidates("r", table(wish, report)) == [report.name, wish.name]
     kind = channel("/imu.angular_velocity.z", means="r")
     assert candidates("r", table(channel("r"), kind))[0] == kind.name
     assert candidates("v", table(channel("/x.speed", means="r"))) == []
-
-
-def test_a_letter_alone_is_no_end_of_a_longer_name() -> None:
-    assert candidates("x", table(channel("/odom.orientation.x"), channel("x"))) == ["x"]
-
-
-def test_of_two_of_one_name_the_one_that_was_sampled_more_often_goes_first() -> None:
     slow, fast = channel("/a.yaw_rate", rate=10.0), channel("/b.yaw_rate", rate=50.0)
     assert candidates("r", table(slow, fast)) == [fast.name, slow.name]
+
+
+def test_a_letter_is_no_end_of_a_longer_name_and_a_channel_in_a_unit_of_something_else_is_no_candidate() -> None:
+    assert candidates("x", table(channel("/odom.orientation.x"), channel("x"))) == ["x"]
+    assert candidates("v", table(channel("speed", "rpm"), channel("gps.speed", "km/h"))) == ["gps.speed"]
 
 
 @pytest.mark.parametrize(
@@ -69,10 +67,6 @@ def test_of_two_of_one_name_the_one_that_was_sampled_more_often_goes_first() -> 
 )
 def test_units_as_they_are_spelt(quantity: str, unit: str, same: str) -> None:
     assert unit_of(quantity, channel("c", unit)) == same
-
-
-def test_a_channel_in_a_unit_of_something_else_is_no_candidate() -> None:
-    assert candidates("v", table(channel("speed", "rpm"), channel("gps.speed", "km/h"))) == ["gps.speed"]
 
 
 def test_names_of_times() -> None:

@@ -45,6 +45,8 @@ def test_reports_of_autoware_are_known_by_kind_and_keep_float32_to_the_last_bit(
         np.testing.assert_array_equal(steering.values, (columns["delta_sw"] / 15.0).astype(np.float32))
         np.testing.assert_allclose(steering.t - steering.t[0], columns["t"], atol=1e-6)
         assert read_drive(written(name, tmp_path, columns)[0]).notes[1].startswith("delta_sw = 15 * the road wheels'")
+    with pytest.raises(ValueError, match="steer_ratio = 0, expected more than 0"):
+        read_drive(written("ros2 mcap", tmp_path, columns)[0], steer_ratio=0.0)
 
 
 def memory(name: str, seconds: float) -> float:

@@ -8,8 +8,8 @@ import pytest
 
 from steerkit import vehicle
 from steerkit.diagram.units import degrees_of, radians_of
-from steerkit.logs import Drive, read_drive
-from steerkit.logs.resimulate import compared, resimulate, way
+from steerkit.logs import Drive
+from steerkit.logs.resimulate import resimulate, way
 from steerkit.plants.steering_actuator import SteeringActuator
 
 CAR = vehicle("vw-passat")
@@ -85,15 +85,3 @@ def test_a_drive_without_a_way_and_unknown_controllers_are_refused() -> None:
         resimulate(short, "stanley", vehicle=CAR)
     with pytest.raises(ValueError, match=r"controller 'stanlay' is not known \(did you mean 'stanley'"):
         resimulate(drive(seconds=22.0), "stanlay", vehicle=CAR)
-
-
-def test_several_controllers_stand_in_one_picture_and_each_has_its_sentence() -> None:
-    lap = read_drive("genesis-rfs")
-    again = [resimulate(lap, name, vehicle=CAR) for name in ("stanley", "lqr")]
-    wheel = compared(*again).axes[0]
-    assert [text.get_text() for text in wheel.get_legend().get_texts()] == ["as driven", "stanley", "lqr"]
-    for one in again:
-        figures, said = one.figures(), one.verdict()
-        assert said.startswith(f"{one.controller} stays within {figures['max_e']:.2f} m of the driven way")
-        assert "is always within a_y and jerk" in said
-        assert f"{figures['max_differs_deg']:.1f} at most" in said
