@@ -13,27 +13,32 @@ from steerkit.plants.speed_driver import SpeedDriver
 from tests.support.traced_blocks import Decay, Derived, Hardware, decay_loop
 
 
-def test_errors_name_the_block_and_the_way_out() -> None:
+def hardware_loop() -> Loop:
     block, decay = Hardware(), Decay()
-    loop = Loop(blocks={"what": block, "decay": decay}, wires=[(block.y, decay.u), (decay.x, block.u)])
-    with pytest.raises(TraceError, match=r"what \(Hardware\) is not pure.*simulate"):
-        compile(loop, backend="python")
-    loop = decay_loop()
-    with pytest.raises(KeyError, match=r"did you mean 'decay\.x'"):
-        compile(loop, backend="python", record=["decay.z"])
-    with pytest.raises(TraceError, match=r"has no field 'c'; fields: .*a, b"):
-        compile(loop, backend="python", parameters=["decay.c"])
-    with pytest.raises(ValueError, match="was not left open"):
-        compile(loop, backend="python").run(1.0, parameters={"decay.a": 1.0})
-    with pytest.raises(ValueError, match="different numbers of cars"):
-        compile(loop, backend="python", parameters=["decay.a"]).run(1.0, batch=3, parameters={"decay.a": np.ones(2)})
-    with pytest.raises(ValueError, match="duration"):
-        compile(loop, backend="python").run(math.nan)
-    with pytest.raises(ValueError, match="valid: auto, python, c"):
-        compile(loop, backend="fortran")  # type: ignore[arg-type]
-    derived = Derived()
-    with pytest.raises(TraceError, match=r"computes twice when it is built"):
-        compile(loop.with_block("decay", derived), backend="python", parameters=["decay.a"])
+    return Loop(blocks={"what": block, "decay": decay}, wires=[(block.y, decay.u), (decay.x, block.u)])
+
+
+OPEN = compile(decay_loop(), backend="python", parameters=["decay.a"])
+
+
+@pytest.mark.parametrize(
+    ("attempt", "words"),
+    [
+        (lambda: compile(hardware_loop(), backend="python"), r"what \(Hardware\) is not pure.*simulate"),
+        (lambda: compile(decay_loop(), parameters=["decay.c"]), r"has no field 'c'; fields: .*a, b"),
+        (lambda: compile(decay_loop(), backend="fortran"), "valid: auto, python, c"),  # type: ignore[arg-type]
+        (
+            lambda: compile(decay_loop().with_block("decay", Derived()), parameters=["decay.a"]),
+            "computes twice when it is built",
+        ),
+        (lambda: OPEN.run(1.0, parameters={"decay.b": 1.0}), "was not left open"),
+        (lambda: OPEN.run(1.0, batch=3, parameters={"decay.a": np.ones(2)}), "different numbers of cars"),
+        (lambda: OPEN.run(math.nan), "duration"),
+    ],
+)
+def test_errors_name_the_block_and_the_way_out(attempt: Any, words: str) -> None:
+    with pytest.raises((TraceError, ValueError), match=words):
+        attempt()
 
 
 def test_parameters_that_bound_each_other_are_set_at_once() -> None:

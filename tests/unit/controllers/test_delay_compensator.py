@@ -139,11 +139,6 @@ def test_the_action_between_is_the_lowest_point_of_the_parabola() -> None:
     assert policy._between([5.0, 4.0, 3.0, 2.0, 1.0], policy._order[-1]) == policy._order[-1]  # at the end of the set
 
 
-def test_a_forecast_without_its_preview_is_refused() -> None:
-    with pytest.raises(ValueError, match="preview_points"):
-        NfqPolicy(forecast=DelayCompensator())
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from steerkit.controllers.fail_safe import FAULTS, LATE, NOTHING, RAISED, FailSafe, said
-from steerkit.controllers.safety_filter import REASONS, SafetyFilter
+from steerkit.controllers.safety_filter import SafetyFilter
 from steerkit.controllers.stanley import Stanley
 from steerkit.controllers.supervisor import ExceptionGuard
 from steerkit.diagram.block import Block, Wrapper
@@ -91,12 +91,6 @@ def test_it_goes_on_from_what_was_sent_and_stays_as_it_was_where_remembering_rai
     assert after[-1] == -0.2
     forgetful = FailSafe(block=Broken(block=FILTER, answer=raising, remember=raising))
     assert forgetful.update(0.0, after, u, forgetful.output(0.0, after, block.D(**HERE))) is after
-
-
-def test_every_reason_has_words() -> None:
-    assert [said(float(n)) for n in range(9)] == [*REASONS, *FAULTS.values()]
-    assert [said(n) for n in (-1.0, 9.0)] == ["unknown reason -1", "unknown reason 9"]
-    assert said(math.nan) == "unknown reason nan"
 
 
 def test_a_batch_has_its_own_fault_each() -> None:

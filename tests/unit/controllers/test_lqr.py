@@ -10,26 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steerkit.controllers.lqr import Lqr, LqrDesign, cost_to_go
-from steerkit.diagram.simulation import Log, simulate
-from steerkit.paths.courses import circle
-from steerkit.paths.path import Path
-from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
+from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.steering_actuator import SteeringActuator
-from steerkit.scenario import Scenario
-from tests.support.straight_road import PASSAT, looped
+from tests.support.straight_road import PASSAT
 
 MATRICES = LinearSingleTrack(vehicle=PASSAT).matrices
 
 
 def design(**changes: Any) -> LqrDesign:
     return replace(LqrDesign(matrices=MATRICES, reference=PASSAT.l_f), **changes)
-
-
-def driven(
-    path: Path, v: float, seconds: float, plant: Any = LinearSingleTrack, delay: float = 0.2, **start: float
-) -> Log:
-    lqr = Lqr.of(PASSAT, MATRICES, delay=delay, v_step=1.0)
-    return simulate(looped(lqr, path, v, delay, car=plant(vehicle=PASSAT, v0=v), **start), seconds)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.05, 0.12])
@@ -135,17 +124,6 @@ def test_preview_gains_are_the_best_use_of_a_known_bend() -> None:
         steps.append(-k @ x - g @ kappa[i : i + 30])
         x = a @ x + b * steps[-1] + d * kappa[i]
     np.testing.assert_allclose(steps, best[:40], atol=2e-4 * np.abs(best).max())
-
-
-def test_its_gains_reach_as_fast_as_a_scenario_may_be() -> None:
-    """A table that ends at 12 m/s leaves the path by metres at 30."""
-    log = driven(circle(600.0), 30.0, 20.0, NonlinearSingleTrack, delay=0.0, e=0.2)
-    assert abs(log["path.e"][-100:]).max() < 0.05
-    loop = log.loop
-    assert loop is not None
-    law = loop.blocks["controller"]
-    assert isinstance(law, Lqr)
-    assert law.v_min + law.v_step * (len(law.table) - 1) == Scenario(driver={"v_min": 40.0, "v_max": 40.0}).driver.v_max
 
 
 def test_for_a_wheel_steered_by_torque_steps_cost_more_and_an_error_counts_up_to_half_a_metre() -> None:

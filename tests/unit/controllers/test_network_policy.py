@@ -2,49 +2,17 @@
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
 from steerkit.compiled import TraceError, compile
 from steerkit.controllers.nfq_policy import IDOE_ACTIONS
 from steerkit.controllers.policy import StateDescription
-from steerkit.diagram.simulation import simulate
 from steerkit.diagram.units import radians_of
 from steerkit.doe import Integrator
-from steerkit.gym import Network, PolicyBlock, Task
+from steerkit.gym import Network, PolicyBlock
 from steerkit.scenario import Scenario
-from steerkit.scenario.assembly import steering_loop
 from steerkit.scenario.drive import drive_loop
-from tests.support.steady_world import SteadyWorld
-
-
-def test_a_policy_block_steers_as_its_policy_did_in_the_environment() -> None:
-    rng = np.random.default_rng(1)
-    net = Network(
-        layers=((rng.normal(size=(8, 6)), rng.normal(size=8)), (0.2 * rng.normal(size=(1, 8)), np.zeros(1))),
-        head="tanh",
-    )
-    env = gymnasium.make("steerkit/TrackSteeringContinuous-v0", scenario=SteadyWorld(course="circle"), start_e=0.0)
-    observation, _ = env.reset(seed=4)
-    task: Task = env.unwrapped.task  # type: ignore[attr-defined]
-    seen = []
-    for _ in range(12):
-        observation, *_, info = env.step(net(observation[None]).astype(np.float32))
-        seen.append((info["e"], info["delta_sw"]))
-    block = PolicyBlock(policy=net, largest=task.scale)
-    scenario = task.place
-    loop = steering_loop(
-        path=task.path, controller=block, doe=Integrator(), reference=scenario.ahead, **scenario.blocks(task.path)
-    )
-    first = task.starts([task.draw(np.random.default_rng(4))])
-    start = dict(zip(task.loop.names, first.x)) | {"controller": ()}
-    floats = [
-        type(x)(*[float(v[0]) for v in x]) if hasattr(x, "_fields") else tuple(float(v[0]) for v in x)
-        for x in (start[name] for name in loop.names)
-    ]
-    log = simulate(loop, 13 * 0.05, state=loop.init(x=floats), every=5)
-    np.testing.assert_allclose(np.array(seen), np.column_stack((log["path.e"], log["car.delta_sw"]))[1:], atol=1e-5)
 
 
 def test_only_a_network_can_be_compiled() -> None:

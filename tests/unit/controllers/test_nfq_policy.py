@@ -9,9 +9,9 @@ import casadi
 import numpy as np
 import pytest
 
+from steerkit.controllers.delay_compensator import DelayCompensator
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.policy import StateDescription
-from steerkit.diagram.units import radians_of
 from steerkit.learning.nfq.iterate import STANDARD, mirror_image, patterns
 from steerkit.learning.nfq.rprop import Net, forward, new_net
 
@@ -137,10 +137,12 @@ def test_broken_and_foreign_files_are_named(tmp_path: Path) -> None:
         NfqPolicy.load(file)
 
 
-def test_wrong_parameters_are_taught() -> None:
-    for wrong, words in (
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
         ({"actions": ()}, "expected one or more"),
         ({"actions": (0.0, np.nan)}, "each finite"),
+        ({"actions": (0.0, 36.4)}, r"36.4\) \[rad\], expected .* within \+-36"),
         ({"nets": (new_net((5, 10, 1)),)}, r"expected W \(n_out, 7\)"),
         ({"nets": (new_net((7, 10, 2)),)}, "the last layer has 2 units"),
         ({"nets": (new_net(), new_net((7, 1)))}, "one layout"),
@@ -149,9 +151,12 @@ def test_wrong_parameters_are_taught() -> None:
             {"description": StateDescription(names=("e",), low=(-1.0,), high=(1.0,), mirror_signs=(1.0,), goal=(0.1,))},
             "expected 6",
         ),
-    ):
-        with pytest.raises(ValueError, match=words):
-            NfqPolicy(**wrong)  # type: ignore[arg-type]
+        ({"forecast": DelayCompensator()}, "preview_points"),
+    ],
+)
+def test_wrong_parameters_are_taught(wrong: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        NfqPolicy(**wrong)
 
 
 def test_at_speed_the_net_is_told_scaled_numbers_and_turns_the_wheel_less() -> None:
@@ -173,10 +178,3 @@ def test_at_speed_the_net_is_told_scaled_numbers_and_turns_the_wheel_less() -> N
     of_the_set = ask(replace(policy, continuous=False), s)
     seen = patterns(policy.description, s.T, of_the_set.action, 2.0).astype(float)  # as training sees it
     np.testing.assert_allclose(np.mean([forward(net, seen) for net in NETS], axis=0), of_the_set.q, atol=2e-6)
-
-
-def test_actions_beyond_any_steering_wheel_are_refused() -> None:
-    most = radians_of(4.0 * 520.0)
-    assert NfqPolicy(actions=(-most, 0.0)).actions == (-most, 0.0)
-    with pytest.raises(ValueError, match=r"36\.3\d*\) \[rad\], expected .* within \+-36"):
-        NfqPolicy(actions=(0.0, -1.001 * most))

@@ -1,5 +1,7 @@
 """What the learner's state is made of: scaled, seen in a mirror, and refused where that has no meaning."""
 
+from typing import Any
+
 import pytest
 
 from steerkit.controllers.policy import StateDescription
@@ -26,14 +28,16 @@ def test_a_fast_car_and_a_slow_one_give_the_net_the_same_numbers() -> None:
     assert STANDARD.scaled(s) == s
 
 
-def test_descriptions_say_what_is_wrong() -> None:
-    with pytest.raises(ValueError, match="low has 2 entries, expected 6"):
-        StateDescription(low=(0.0, 1.0))
-    with pytest.raises(ValueError, match=r"e: low 1\.0 and high 1\.0"):
-        StateDescription(low=(1.0, *STANDARD.low[1:]))
-    with pytest.raises(ValueError, match="sign -1 and range"):
-        StateDescription(low=(-2.0, *STANDARD.low[1:]))
-    with pytest.raises(ValueError, match="valid: -1, 1"):
-        StateDescription(mirror_signs=(0.0, -1.0, 1.0, -1.0, -1.0, -1.0))
-    with pytest.raises(ValueError, match="expected finite numbers"):
-        StateDescription(goal=(float("nan"), *STANDARD.goal[1:]))
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"low": (0.0, 1.0)}, "low has 2 entries, expected 6"),
+        ({"low": (1.0, *STANDARD.low[1:])}, r"e: low 1\.0 and high 1\.0"),
+        ({"low": (-2.0, *STANDARD.low[1:])}, "sign -1 and range"),
+        ({"mirror_signs": (0.0, -1.0, 1.0, -1.0, -1.0, -1.0)}, "valid: -1, 1"),
+        ({"goal": (float("nan"), *STANDARD.goal[1:])}, "expected finite numbers"),
+    ],
+)
+def test_descriptions_say_what_is_wrong(wrong: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        StateDescription(**wrong)

@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steerkit.controllers.pure_pursuit import PurePursuit
-from steerkit.diagram.simulation import simulate
 from steerkit.paths.courses import circle, straight
 from steerkit.paths.path import Path
-from tests.support.straight_road import PASSAT, looped
+from tests.support.straight_road import PASSAT
 
 ROAD = straight(50.0)
 
@@ -42,16 +41,6 @@ def test_beyond_the_end_of_an_open_path_it_goes_straight_on(over: float) -> None
     ahead = 50.0 + PASSAT.l_r + over
     there = {"x": 0.8 * ahead - 0.6 * 0.2, "y": 0.6 * ahead + 0.8 * 0.2, "psi": math.atan2(0.6, 0.8)}
     assert steered(PurePursuit.of(PASSAT, SLANTING), s=50.0, v=9.0, **there) == pytest.approx(aside)
-
-
-def test_told_of_a_delay_it_looks_farther_and_does_not_swing() -> None:
-    path, swing = straight(300.0), []
-    for told in (0.0, 0.2):
-        pursuit = PurePursuit.of(PASSAT, path, delay=told)
-        loop = looped(pursuit, path, 6.0, 0.2, reference=pursuit.reference, s=10.0, e=0.3)
-        swing.append(abs(simulate(loop, 12.0)["path.e"][-200:]).max())
-    assert swing[0] > 1.0
-    assert swing[1] < 0.02
 
 
 def test_parameters_are_within_their_ranges() -> None:

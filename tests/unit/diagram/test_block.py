@@ -2,7 +2,7 @@
 
 import copy
 import pickle
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,22 +12,6 @@ from steerkit.learning.learner_state import untrained
 from steerkit.learning.settings import DEFAULT
 from steerkit.plants.speed_driver import SpeedProfile
 from tests.support.parts import Gain
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Mixed(Block):
-    """Two inputs, one of them direct."""
-
-    now = In("m")
-    later = In("rad", direct=False)
-    y = Out("m")
-
-
-def test_output_sees_the_direct_inputs_and_update_all() -> None:
-    assert Mixed.D._fields == ("now",)
-    assert Mixed.U._fields == ("now", "later")
-    assert Mixed.Y._fields == ("y",)
-
 
 FOREIGN = In("m")
 
@@ -43,7 +27,7 @@ def test_direct_names_own_inputs(direct: Any) -> None:
 def test_a_block_is_printed_in_a_few_lines_however_many_numbers_it_holds() -> None:
     for printed in (repr(untrained(DEFAULT, 0)), repr(SpeedProfile(speeds=(5.0,) * 4000, spacing=1.0))):
         assert len(printed) < 900
-    assert repr(Mixed(dt=0.1)) == "Mixed(dt=0.1)"
+    assert repr(Gain(dt=0.1)) == "Gain(dt=0.1, k=1.0)"
     assert "speeds=(5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0, ... 4000 in all)" in printed
 
 

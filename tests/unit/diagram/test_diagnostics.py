@@ -81,9 +81,3 @@ def test_others_do_not(value: Any) -> None:
         check_outputs("gain", Gain(), (value,), (3,))
     with pytest.raises(WiringError, match=r"gain\.init \(Gain\) gave .*, expected a number, or an array of 3"):
         check_state("gain", Gain(), (value,), "init", (3,))
-
-
-def test_a_states_length_is_that_of_the_one_before() -> None:
-    check_state("gain", Gain(), (1.0, 2.0), "update", like=(0.0, 0.0))
-    with pytest.raises(WiringError, match=r"gain\.update \(Gain\) gave 2 numbers, expected 1"):
-        check_state("gain", Gain(), (1.0, 2.0), "update", like=(0.0,))

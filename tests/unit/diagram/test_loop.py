@@ -133,39 +133,6 @@ def test_every_block_has_the_same_t() -> None:
     assert log["slow.before"].tolist() == [-1.0, -1.0, 0.0, 0.0, log.t[2]]
 
 
-def test_stepping_by_hand_is_simulating() -> None:
-    loop = chain()
-    log, state, rows = simulate(loop, 1.0), loop.init(), []
-    for _ in range(20):
-        before = state
-        state, sample = loop.step(state)
-        rows.append({**sample})
-        assert before.k + 1 == state.k
-        assert sample.t == before.k * loop.dt
-        assert sample[loop.blocks["count"].n] == sample["count.n"]
-    assert set(rows[0]) == set(log) == set(loop.units)
-    for name in log:
-        assert [row[name] for row in rows] == log[name].tolist()
-    assert state == log.state
-
-
-def test_blocks_settle_on_their_first_inputs() -> None:
-    @dataclass(frozen=True, eq=False, kw_only=True)
-    class Settler(Delay):
-        """Starts from its first input."""
-
-        u = In("m")
-
-        def settle(self, t: Any, x: Any, u: Any) -> Any:
-            return (u.u,)
-
-    wave, gain, settler = Delay(first=3.0), Gain(k=2.0), Settler()
-    wires = [(wave.y, wave.u), (wave.y, gain.u), (gain.y, settler.u)]
-    loop = Loop(blocks={"settler": settler, "gain": gain, "wave": wave}, wires=wires)
-    assert loop.init().x[loop.names.index("settler")] == (6.0,)
-    assert simulate(loop, 0.1)["settler.y"].tolist() == [6.0, 6.0]
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Rolling(Block):
     """Settles on what pulls it, and shows its state before it knows that pull."""
@@ -308,12 +275,3 @@ def test_what_is_not_pure_is_stepped_but_not_batched(car: Block) -> None:
     assert simulate(loop, 0.1)["car.n"].tolist() == [0.0, 1.0]
     with pytest.raises(TypeError, match=r"car \(\w+\) is not pure: it cannot be batched, only stepped"):
         loop.init(batch=2)
-
-
-def test_a_batch_has_cars() -> None:
-    with pytest.raises(ValueError, match="batch = 0, expected a number of cars >= 1"):
-        chain().init(batch=0)
-    for wrong in (2.5, "3", float("nan")):
-        with pytest.raises(ValueError, match=f"batch = {wrong!r}, expected a number of cars >= 1"):
-            chain().init(batch=wrong)  # type: ignore[arg-type]
-    assert len(chain().init(batch=np.int64(2)).x[0][0]) == 2  # type: ignore[arg-type]

@@ -74,19 +74,6 @@ def test_until_ends_after_the_first_sample_that_it_accepts() -> None:
     assert after.t[0] == pytest.approx(log.t[-1] + 0.05)
 
 
-def test_until_sees_only_kept_samples() -> None:
-    log = simulate(LOOP, 10.0, every=10, until=lambda sample: sample.t > 0.61)
-    assert log.t == pytest.approx([0.0, 0.5, 1.0])
-
-
-def test_chosen_signals_by_name_and_by_port() -> None:
-    log = simulate(LOOP, 1.0, record=["gain.y", LOOP.blocks["wave"].v])
-    assert list(log) == ["gain.y", "wave.v"]
-    assert log.units == {"gain.y": "m", "wave.v": "m"}
-    with pytest.raises(KeyError, match=r"no signal 'gain.z' \(did you mean 'gain.y'"):
-        simulate(LOOP, 1.0, record=["gain.z"])
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

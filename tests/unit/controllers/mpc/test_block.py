@@ -22,7 +22,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
-from steerkit.paths.courses import circle, straight
+from steerkit.paths.courses import circle
 from steerkit.paths.tracker import PathTracker
 from steerkit.plants.single_track import LinearSingleTrack
 from steerkit.plants.speed_driver import ConstantSpeed
@@ -109,14 +109,6 @@ def test_every_command_keeps_the_limits(kind: Any, wheel: float, kappa: float, *
     assert all(row.status != 0.0 or row.residual <= block.tolerance for row in y)
 
 
-@kinds
-def test_the_path_ends_before_the_preview_does(kind: Any) -> None:
-    log = simulate(loop_of(controller(kind), ConstantSpeed(speed=5.0), straight(12.0), e=0.3), 5.0)
-    assert log["path.s"][-1] == pytest.approx(12.0, abs=1e-9)
-    assert abs(log["path.e"][-1]) < 0.02
-    assert (log["controller.status"] == 0.0).all()
-
-
 # ---- what the solver says ---------------------------------------------------------------------------------------
 
 
@@ -194,14 +186,6 @@ def test_the_fallbacks_errors_are_those_of_its_own_point(reference: float, side:
     assert found == pytest.approx(expected, abs=0.045)  # 2 mm and 2 mrad
 
 
-@pytest.mark.parametrize(("kind", "e", "psi_e_deg"), [(MPC, 3.0, 30.0), (NonlinearMPC, -3.0, -45.0)])
-def test_a_start_far_off_and_askew_is_recovered(kind: Any, e: float, psi_e_deg: float) -> None:
-    loop = loop_of(kind.of(CAR, **STEERING), path=straight(120.0), e=e, psi_e=math.radians(psi_e_deg))
-    log = simulate(loop, 15.0)
-    assert np.abs(log["path.e"][-200:]).max() < 0.02
-    assert np.abs(log["car.a_y"]).max() < 3.1
-
-
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @kinds
 def test_the_fallback_turns_the_wheel_no_faster_than_the_motor(kind: Any, side: float) -> None:
@@ -267,12 +251,6 @@ def test_a_batch_is_solved_car_by_car(kind: Any) -> None:
         np.testing.assert_array_equal([value[car] for value in y[:-1]], one[:-1])
         np.testing.assert_array_equal([value[car] for value in y.plan], one.plan)
         assert {type(value) for value in (*one[:-1], *one.plan)} == {float}
-
-
-def test_time_is_taken_unless_there_is_no_clock() -> None:
-    timed = replace(controller(), clock=time.perf_counter)
-    assert driven(timed, [inputs(timed)])[0].milliseconds > 0.0
-    assert driven(controller(), [inputs(controller())])[0].milliseconds == 0.0
 
 
 @pytest.mark.parametrize(
