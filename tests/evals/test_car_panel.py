@@ -2,13 +2,11 @@
 
 import contextlib
 import fcntl
-import json
 import os
 import pty
 import re
 import select
 import signal
-import subprocess
 import sys
 import termios
 import time
@@ -145,10 +143,11 @@ def test_a_terminal_that_reads_nothing_more_or_is_gone_lets_go(tmp_path: Path) -
 
 def test_a_dumb_terminal_gets_lines_and_still_keys_and_ends_in_order(tmp_path: Path) -> None:
     """Ctrl-C works at a keyboard even where a parent had it ignored; the car server gets the order to let go."""
-    with terminal(tmp_path, *DRIVE, *SLOWLY, "--recording", "drive.mcap", TERM="dumb") as there:
-        there.until("keys: space let go")
-        there.until("READY: all checks hold")
-        assert "╭" not in there.text
+    with terminal(tmp_path, *DRIVE, *SLOWLY, "--realtime", "--recording", "drive.mcap", TERM="dumb") as there:
+        said = there.until("keys: space let go") + there.until("READY: all checks hold")
+        assert re.search(r"SCHED_FIFO 50: (granted|not permitted; .*; going on without)", said)
+        assert "╭" not in said
+        assert "\x1b" not in said
         there.press("e")
         there.until("ENGAGED: operator: engage")
         there.process.send_signal(signal.SIGINT)
@@ -158,16 +157,3 @@ def test_a_dumb_terminal_gets_lines_and_still_keys_and_ends_in_order(tmp_path: P
     (left,) = [v["cause"] for v in recorded.of("/state") if v["from"] == "ENGAGED"]
     assert left == "operator: disengage"
     assert recorded.of("/state")[-1]["to"] == "OFF"
-
-
-def test_without_a_terminal_there_are_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subprocess, "Popen", Forked)
-    words = (*DRIVE, "--minutes", "0.02", "--json", "--realtime")
-    command = [sys.executable, "-c", PROGRAM, *words]
-    done = subprocess.run(command, cwd=tmp_path, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=WAIT)
-    assert done.returncode == 0, done.stderr
-    assert "all checks hold" in done.stdout
-    assert re.search(r"SCHED_FIFO 50: (granted|not permitted; .*; going on without)", done.stdout)
-    assert json.loads(done.stdout.splitlines()[-1])["steps"] > 10
-    assert "╭" not in done.stdout
-    assert "\x1b" not in done.stdout

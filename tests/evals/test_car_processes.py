@@ -1,15 +1,12 @@
-"""Real processes on a real (pseudo-terminal or TCP) slcan line; generous limits, as the machine may be busy."""
+"""Real processes on a real (pseudo-terminal) slcan line; generous limits, as the machine may be busy."""
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +14,6 @@ from typing import Any
 import pytest
 
 from benchmarks.studies.car_realtime import attended
-from steerkit._support.clock import Clock
 from steerkit.car import config as configured
 from steerkit.car import loop as loops
 from steerkit.car import processes
@@ -25,14 +21,12 @@ from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import load
 from steerkit.car.core import Core
-from steerkit.car.ports import BusPort, open_bus
-from steerkit.car.server import CarServer
-from steerkit.car.simulated import SimulatedCar
+from steerkit.car.ports import open_bus
 from steerkit.car.state_machine import Mode, Order
 from tests.support import programs
 from tests.support.programs import Forked, alive
+from tests.support.recordings import full_disk
 
 CONFIG = "dbw-kit.toml"
 
@@ -58,7 +52,7 @@ def bench(tmp_path: Path, forked: None) -> Iterator[SimpleNamespace]:
         process.wait(20.0)
 
 
-def drive(socket: str, *, seconds: float = 20.0, most: int = 10**9, scale: float = 1.0) -> int:
+def drive(socket: str, most: int) -> int:
     """Engage once, and drive with Stanley's controller, for so many engaged steps at most; returns how many."""
     config = configured.loaded(CONFIG)
     modes: list[Mode] = []
@@ -77,13 +71,12 @@ def drive(socket: str, *, seconds: float = 20.0, most: int = 10**9, scale: float
                 operator.order(Order.ENGAGE)
             return modes.count(Mode.ENGAGED) > most
 
-        controller, clock = loops.controller_named("stanley", config), Clock(scale=scale)
-        loops.drive(config, link, controller, duration=seconds, clock=clock, watch=watch)
+        loops.drive(config, link, loops.controller_named("stanley", config), duration=20.0, watch=watch)
     return modes.count(Mode.ENGAGED)
 
 
 def test_drive_record_replay_and_an_orderly_end(bench: SimpleNamespace) -> None:
-    engaged = drive(bench.socket, most=24)
+    engaged = drive(bench.socket, 24)
     bench.server.terminate()
     assert bench.server.wait(20.0) == 0
     assert engaged > 0
@@ -102,42 +95,6 @@ def test_drive_record_replay_and_an_orderly_end(bench: SimpleNamespace) -> None:
     assert not heard[-1]
 
 
-def test_another_interface_of_python_can(tmp_path: Path) -> None:
-    """Car, server and controller over python-can's `virtual`, in three threads; its `CarServer` is the processes' own.
-
-    At a fifth of real time, as the threads share one interpreter.
-    """
-    bus = configured.bus_of("virtual:steerkit test")
-    assert bus is not None
-    config = load(CONFIG, bus=bus)
-    port, clock, socket = BusPort(bus), Clock(scale=0.2), str(tmp_path / "socket")
-    car = SimulatedCar(config, t0=clock.now())
-    recorder = recordings.Recording(tmp_path / "drive.mcap", {"a": "b"})
-    server = CarServer(config, socket, recording=recorder, clock=clock)
-    engaged: list[int] = []
-
-    def control() -> None:
-        try:
-            engaged.append(drive(socket, most=2, scale=0.2))
-        finally:
-            server.stop()
-
-    serve = partial(processes.serve_simulated, car, port, clock, duration=30.0)
-    threading.Thread(target=serve, daemon=True).start()
-    threading.Thread(target=control, daemon=True).start()
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        server.run()  # here, as it wants the signals
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-    assert engaged == [3]
-    assert car.heard > 0.0
-    recorded = recordings.read(tmp_path / "drive.mcap")
-    frames, same = recordings.replayed_exactly(recorded, Core(config))
-    assert frames == same > 10
-
-
 @pytest.mark.usefixtures("forked")
 def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"bus interface = 'nope', channel = 'x': cannot be opened \(.* is not known"):
@@ -146,18 +103,12 @@ def test_a_bus_that_is_not_there_is_named_and_so_is_the_log(tmp_path: Path) -> N
         processes.start_car_server(CONFIG, str(tmp_path / "socket"), channel="/dev/nowhere", log=log)
 
 
-def limited(size: int) -> None:
-    """No file of this process, nor of those it starts, may grow beyond that."""
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
-
-
 @pytest.mark.usefixtures("forked")
 def test_a_drive_whose_recording_failed_ends_with_exit_code_2(tmp_path: Path) -> None:
     words = ["drive", "stanley", "--car", CONFIG, "--simulated", "--minutes", "0.02", "--quiet"]
     command = [sys.executable, "-m", "steerkit", *words, "--recording", "drive.mcap"]
-    done = subprocess.run(
-        command, cwd=tmp_path, preexec_fn=lambda: limited(20_000), capture_output=True, text=True, timeout=180.0
-    )
+    with full_disk(20_000):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=180.0)
     assert done.returncode == 2, done.stderr
     assert "the car server ended badly: " in done.stderr
     assert "drive.log" in done.stderr

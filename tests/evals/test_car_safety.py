@@ -85,7 +85,7 @@ def test_what_is_rolled_out_is_no_less_than_what_comes_behind_the_gate(v: float)
     sure: dict[str, Any] = dict(e_doubt=0.0, psi_doubt=0.0, yaw_doubt=0.0, ratio_doubt=0.0, delay_doubt=0.0)
     blocks, reaches, worst = (replace(knows, **sure), replace(knows, **sure, gate=None)), list[float](), 0.0
     while world.t < 3.5:
-        world.until(world.t + 0.05)
+        world.go_on_for(0.05)
         run, worst = world.run, max(worst, world.core.senses.e)
         if abs(run.k * 0.05 - 0.85) < 1e-6:
             s, at = run.sample, world.config.course.kappa

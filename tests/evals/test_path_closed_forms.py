@@ -102,27 +102,29 @@ def test_a_step_in_curvature_is_a_straight_an_arc_and_a_straight():
     assert np.abs(path.kappa(s) - np.where(arc, 1.0 / 27.0, 0.0))[far].max() < 1e-4
 
 
-def test_the_figure_eight_is_followed_through_its_crossing_for_three_rounds():
+def eight() -> tuple[Path, np.ndarray, np.ndarray]:
+    """A crossing, for three rounds."""
     path = courses.figure_eight(60.0)
     along = np.arange(0.0, 3.0 * path.length, 0.25)
-    offset = 0.8 * np.sin(0.3 * along)
+    return path, along, 0.8 * np.sin(0.3 * along)
+
+
+def narrow() -> tuple[Path, np.ndarray, np.ndarray]:
+    """Stretches three metres apart, well past the middle between them, where the other one is nearer."""
+    path = courses.bends([(30.0, 180.0, 1.45, 1.2), (60.0, 180.0, 1.45, 1.2), (30.0, 0.0, 1.0, 0.0)], spacing=0.1)
+    assert 2.5 < np.ptp(path.samples.xy[:, 1]) < 3.5
+    along = np.arange(-25.0, 25.0, 0.25)
+    return path, along, 2.5 * np.cos(0.2 * along)
+
+
+@pytest.mark.parametrize("drawn", [eight, narrow])
+def test_where_a_course_meets_itself_it_is_followed_without_confusion(drawn):
+    path, along, offset = drawn()
     s, progress, e, _, _, kappa, _ = drive(PathTracker(path=path), beside(path, along, offset))
-    assert np.allclose(progress, along, atol=1e-6)
+    assert np.allclose(progress, along - along[0], atol=1e-6)
     assert np.allclose(round_trip(path, s - along), 0.0, atol=1e-6)
     assert np.allclose(e, offset, atol=1e-6)
     assert np.allclose(kappa, path.kappa(along), atol=1e-6)
-
-
-def test_stretches_three_metres_apart_are_not_confused():
-    path = courses.bends([(30.0, 180.0, 1.45, 1.2), (60.0, 180.0, 1.45, 1.2), (30.0, 0.0, 1.0, 0.0)], spacing=0.1)
-    width = np.ptp(path.samples.xy[:, 1])
-    assert 2.5 < width < 3.5
-    along = np.arange(-25.0, 25.0, 0.25)
-    offset = 2.5 * np.cos(0.2 * along)  # well past the middle, nearer to the other stretch
-    s, progress, e, *_ = drive(PathTracker(path=path), beside(path, along, offset)[:, :3])
-    assert np.allclose(progress, along + 25.0, atol=1e-6)
-    assert np.allclose(round_trip(path, s - along), 0.0, atol=1e-6)
-    assert np.allclose(e, offset, atol=1e-6)
 
 
 def test_five_metres_inside_the_tightest_bend_the_place_is_still_found():
@@ -179,32 +181,3 @@ def test_random_courses_keep_their_bounds(seed, length, bendy):
     polar = np.unwrap(np.arctan2(*path.samples.xy.T[::-1]))
     assert (np.diff(polar) > 0.0).all()  # star-shaped: never meets itself
     assert path.samples.psi[-1] - path.samples.psi[0] == pytest.approx(2.0 * math.pi, abs=1e-6)
-
-
-def test_the_paper_course_asks_what_the_experiment_states():
-    path = courses.course("paper")
-    s = np.linspace(0.0, path.length, 8001)
-    kappa = path.kappa(s)
-    wheel_deg = np.degrees(15.6 * np.arctan(2.71 * kappa))
-    assert path.closed
-    assert 780.0 < path.length < 820.0
-    assert 370.0 < wheel_deg.max() < 400.0
-    assert wheel_deg.min() < -250.0
-    v = np.clip(np.sqrt(2.0 / np.maximum(np.abs(kappa), 1e-9)), 4.0, 7.0)
-    assert (v**2 * np.abs(kappa)).max() < 3.0  # ISO 11270
-    assert 115.0 < np.trapezoid(1.0 / v, s) < 140.0
-    xy, at = path.samples.xy[::4], path.samples.s[::4]
-    apart = np.abs(at[:, None] - at)
-    far = np.minimum(apart, path.length - apart) > 30.0
-    assert np.hypot(*(xy[:, None] - xy).transpose(2, 0, 1))[far].min() > 10.0
-
-
-def test_gps_positions_become_metres_east_and_north():
-    pymap3d = pytest.importorskip("pymap3d")
-    angle = np.linspace(0.0, 2.0 * math.pi, 400, endpoint=False)
-    east, north = 80.0 * np.sin(angle), 80.0 * (1.0 - np.cos(angle))
-    lat, lon, _ = pymap3d.enu2geodetic(east, north, 0.0, 52.3, 10.5, 0.0)
-    path = Path.from_gps(lat, lon, closed=True, smoothing=0.0)
-    assert path.length == pytest.approx(160.0 * math.pi, abs=1e-3)
-    assert np.abs(np.hypot(path.samples.xy[:, 0], path.samples.xy[:, 1] - 80.0) - 80.0).max() < 1e-3
-    assert np.abs(path.samples.kappa - 1.0 / 80.0).max() < 1e-5

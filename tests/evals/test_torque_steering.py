@@ -35,10 +35,9 @@ def judged(log: Log) -> tuple[float, np.ndarray]:
     return back, e[log.t > LATER]
 
 
-CASES = [("stanley-delay", 12.0, 0.75), ("stanley-delay", 20.0, 1.25), ("lqr", 20.0, 0.75), ("mpc", 12.0, 1.25)]
-
-
-@pytest.mark.parametrize(("name", "v", "gain"), CASES)
+@pytest.mark.parametrize(
+    ("name", "v", "gain"), [("stanley-delay", 20.0, 1.25), ("lqr", 20.0, 0.75), ("mpc", 12.0, 1.25)]
+)
 def test_a_car_steered_by_torque_is_brought_back_and_held(name: str, v: float, gain: float) -> None:
     log = recovered(name, "sweeping-1003", v, 20.0, gain=gain)
     back, e = judged(log)

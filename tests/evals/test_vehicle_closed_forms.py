@@ -81,11 +81,6 @@ def fastest(plant):
     return max(abs(s).max() for s in z)
 
 
-@CARS
-def test_integration_is_stable_at_every_speed(car):
-    assert fastest(LinearSingleTrack(vehicle=car)) < 1.25
-
-
 @settings(max_examples=30)
 @given(
     l_f=st.floats(0.8, 2.0),

@@ -77,24 +77,6 @@ def test_a_bias_walks_and_all_else_changes_at_once() -> None:
     assert (actuator.delay, len(starts), len(failures)) == (0.1, 3, 2)
 
 
-def test_the_policy_forecasts_over_the_delay_that_the_filter_finds() -> None:
-    """Before it has learned anything of the new car."""
-    before, later, _ = phases(job("delay"))
-    run = LearningRun(Experiment(setting=SAFE, scenario=before, minutes=1.0))
-    while run.t < 16.0:
-        run.drive()
-    assert run.policy.forecast.samples == pytest.approx(3, abs=1)
-    exchange(run, later)
-    while run.counts.late == 0.0 and run.t < 30.0:
-        run.drive()
-    assert run.t < 24.0
-    assert run.counts.late == pytest.approx(0.3, abs=0.06)
-    assert run.policy.forecast.samples == pytest.approx(9, abs=1)
-    guarded: Any = run.loop.blocks["controller"]
-    assert guarded.block is run.policy
-    assert run.counts.changed == pytest.approx(len(run.transitions) - 40, abs=1)
-
-
 def test_the_best_drives_the_same_way_under_the_same_noise() -> None:
     """At each time it is where the learner is, and what the sensors add is the same number."""
     now = job("mass", 0.05)
