@@ -1,7 +1,7 @@
 """The prediction over a steering delay."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from steerkit.controllers.delay import DelayPredictor, delayed_stanley
 from steerkit.controllers.lqr import Lqr
 from steerkit.controllers.stanley import Stanley
+from steerkit.diagram.block import Block, In, Out
 from steerkit.doe import PlainAngle
 from steerkit.paths.courses import course
 from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
@@ -142,15 +143,6 @@ def test_a_slow_wheel_is_rolled_out_until_it_is_straight(a_y: float) -> None:
     assert found["e"] - still["e"] == pytest.approx(v * (side + still["psi_e"] * lasts), rel=0.02)
 
 
-def test_a_slow_wheel_at_the_paths_angle_costs_no_time() -> None:
-    v, kappa = 15.0, 0.01
-    block = around(0.1, 0.05, slew=5.0, a_y_limit=3.0, preview_points=40)
-    wheel = block.model.steer_ratio * math.atan((block.model.wheelbase + block.model.understeer * v * v) * kappa)
-    u = dict(e=0.1, psi_e=0.02, v=v, r=v * kappa, delta_sw_meas=wheel, preview=(*(kappa,) * 6, *(0.0,) * 34))
-    slow, quick = (ahead(one, (wheel,) * 2, **u) for one in (block, without_slew(block)))
-    assert slow == pytest.approx(quick, abs=1e-9)
-
-
 def test_a_steering_with_another_gain_is_predicted_as_it_is() -> None:
     """A wheel that stays 25 % beyond what was commanded is taken to stay there: the model learns by how much."""
     block, command = around(0.1, 0.0, slew=5.0, preview_points=40), 0.2
@@ -163,6 +155,18 @@ def test_a_steering_with_another_gain_is_predicted_as_it_is() -> None:
     assert len(x) == n + 4 + 2
     quick = without_slew(block)
     assert len(quick.init()) == n + 1 + 2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Anywhere(Block):
+    """Does not say where it is measured."""
+
+    e = In("m")
+    delta_sw = Out("rad")
+
+
+def test_a_block_that_does_not_say_where_is_measured_at_the_centre_of_gravity() -> None:
+    assert DelayPredictor.around(Anywhere(), PASSAT, delay=0.1, lag=0.1).reference == 0.0
 
 
 def test_it_wraps_only_what_it_can_serve() -> None:

@@ -173,17 +173,6 @@ def test_where_it_stands_still() -> None:
     assert abs(z_after(replace(block, most=0.2), (*x[:-5], -0.2, 0.0, 0.0, 0.01, -0.3))) == 0.2
 
 
-def test_the_wrapped_law_goes_on_from_its_own_angle() -> None:
-    block = OffsetFree(block=Stanley.of(PASSAT))
-    x = block.settle(0.0, block.init(), block.U(**HERE))
-    x = (*x[:-5], 0.1, *x[-4:])
-    y = block.output(0.0, x, block.D(**HERE))
-    inner = block.block.output(0.0, block.block.init(), block.D(**HERE)).delta_sw
-    assert y.delta_sw == pytest.approx(inner + 0.1)
-    assert block.update(0.0, x, block.U(**HERE), y)[1] == pytest.approx(inner)
-    assert abs(replace(block, limit=0.03).output(0.0, x, block.D(**HERE)).delta_sw) == 0.03
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Blind(Block):
     """A law that does not look at the wheel."""

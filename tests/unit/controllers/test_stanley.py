@@ -56,14 +56,6 @@ def test_a_share_of_it_corrects_less_and_holds_the_same_bend() -> None:
     assert steered(half, e=0.05, **bent) == pytest.approx(0.5 * (asked + steady))
 
 
-def test_it_starts_without_a_kick() -> None:
-    """The wheel may be turned when it takes over: there is no wheel speed yet."""
-    stanley = replace(OF_PASSAT, k_d_steer=10.0)
-    turned = AT_REST | {"delta_sw_meas": 3.0}
-    x = stanley.settle(0.0, stanley.init(), stanley.D(**turned))
-    assert stanley.output(0.0, x, stanley.D(**turned)).delta_sw == 0.0
-
-
 signals = st.fixed_dictionaries(
     {
         "e": st.floats(-5.0, 5.0),

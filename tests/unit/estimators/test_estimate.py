@@ -23,12 +23,6 @@ ALL: dict[str, Any] = {
     "friction": SteeringFriction(longest=0.2),
 }
 
-Y = SteeringFriction.Y(friction=15.0, friction_deviation=0.5, friction_valid=1.0, missing=0.0)
-
-
-def test_a_quantity_is_what_comes_with_deviation_and_validity() -> None:
-    assert estimated(Y, "friction") == Estimated(15.0, 0.5, 1.0)
-
 
 def test_the_interval_holds_95_percent() -> None:
     got = Estimated(np.array([1.0, 2.0]), np.array([0.1, 0.2]), np.ones(2))

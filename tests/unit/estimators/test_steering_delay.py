@@ -19,26 +19,6 @@ def said(block: DelayBank, x: Any, name: str = "delay_lag") -> Estimated:
     return estimated(block.output(0.0, x, ()), name)
 
 
-@pytest.mark.parametrize("samples", range(3, 10))
-@pytest.mark.parametrize("frequency", [0.1, 0.5])
-def test_a_sine_some_samples_late_without_noise(samples: int, frequency: float) -> None:
-    """As openpilot tests its own. Such samples are not held, so the answer comes half of one early."""
-
-    def sine(k: np.ndarray) -> np.ndarray:
-        return np.asarray(radians_of(30.0) * np.sin(2.0 * np.pi * frequency * 0.05 * k))
-
-    block, k = WheelDelay(prior_lag=0.03, prior_lag_deviation=0.02), np.arange(500)
-    signals = {
-        "delta_sw_cmd": sine(k),
-        "delta_sw_meas": sine(k - samples),
-        "v": 20.0 + 0.0 * k,
-        "active": 1.0 + 0.0 * k,
-    }
-    found = said(block, driven(block, signals))
-    assert found.valid == 1.0
-    assert found.value == pytest.approx(0.05 * samples - 0.025, abs=0.01)
-
-
 @pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.2), (0.07, 0.1), (0.22, 0.28), (0.5, 0.15)])
 def test_the_wheel_shows_delay_and_lag(delay: float, lag: float) -> None:
     x = driven(WHEEL, answered(steered(40.0), delay=delay, lag=lag))

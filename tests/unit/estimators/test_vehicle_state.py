@@ -17,7 +17,6 @@ from steerkit.metrics.signals import rms
 from steerkit.plants.sensors import Sensors
 from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.vehicles import VW_PASSAT
-from tests.support.road import heard, road
 from tests.support.steered_car import quantities
 from tests.support.stepped import run_fast
 
@@ -247,14 +246,6 @@ def test_at_standstill_nothing_drifts() -> None:
     assert abs(y["wheel_offset"][-1]) < radians_of(0.1)
     assert np.hypot(y["x"] - tape.truth[:, 0], y["y"] - tape.truth[:, 1])[200:].max() < 0.03
     assert y["gyro_zero_deviation"][-1] < 0.3 * FILTER.gyro_drift
-
-
-def test_after_a_hard_stop_the_next_start_is_seen() -> None:
-    """From 14 m/s within 3 s: an acceleration that ends at once leaves the filter's speed below zero."""
-    y, v = outputs(FILTER, [list(u.values()) for u in heard(FILTER, broken=False)]), road(broken=False)["v"]
-    assert abs(np.diff(v)).max() > 0.2
-    assert v[1000] > 3.0
-    assert y["v"][1000:] == pytest.approx(v[1000:], abs=0.3)
 
 
 def test_zeros_are_found_and_said_to_be_known() -> None:

@@ -1,40 +1,26 @@
-"""With `steering`, the estimator follows ratio and zeros as they are found, slowly, within bounds; then it knows
-where a car is whose data sheet is wrong."""
+"""With `steering`, the estimator follows ratio and zeros as they are found, slowly, within bounds."""
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
-import numpy as np
 import pytest
 
-from steerkit.compiled import compile
-from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import radians_of
 from steerkit.estimators import vehicle_state
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import FOLLOWED, Followed, VehicleState
-from steerkit.metrics.signals import rms
 from steerkit.plants.single_track import NonlinearSingleTrack
-from steerkit.scenario import Scenario
-from steerkit.scenario.drive import controller, drive_loop
 from steerkit.vehicles import VW_PASSAT
 from tests.support.stepped import run_fast
 
 PLAIN = VehicleState.of(NonlinearSingleTrack(vehicle=VW_PASSAT))
 STEERING = SingleTrackFilter(vehicle=VW_PASSAT, held=False)
 HERE = dict(x_in=1.0, y_in=2.0, psi_in=0.1, age_in=0.05, v_in=6.0, r_in=0.1, motion_age_in=0.05, delta_sw_meas=0.4)
-WRONG: dict[str, Any] = {
-    "vehicle": {"ratio": 1.25},
-    "steering": {"wheel_zero_deg": 3.0, "delay": 0.2},
-    "sensors": {"gyro_zero_deg": 0.2},
-    "knowledge": {"delay": 0.2},
-}
 
 
 ADAPTIVE = replace(PLAIN, steering=STEERING)
-FIRST, END = ADAPTIVE._ends[-1], -len(Followed._fields)
+END = -len(Followed._fields)
 
 
 def measured(block: Any, u: Any) -> Any:
@@ -130,31 +116,3 @@ def test_ratio_and_zeros_are_found_however_old_the_motion_is(late: float) -> Non
     assert y.gyro_zero == pytest.approx(0.004, abs=3e-4)
     assert x[-2] == pytest.approx(0.03, abs=radians_of(0.4))  # by what is used, not by what is found behind it
     assert x[-1] == pytest.approx(0.004, abs=1e-3)
-
-
-@lru_cache(maxsize=2)
-def behind(estimator: str) -> Log:
-    """Stanley that adapts, behind an estimator with a wrong ratio, wheel and gyro, on a course of bends."""
-    scenario = Scenario.under("hard", **WRONG, course="random-2110", driver={"v_min": 6.0}, reference="own").with_(
-        sensors={"kind": "no sideslip", "estimator": estimator}
-    )
-    loop = drive_loop(scenario, controller("stanley-adaptive", scenario), seed=4)
-    record = ["car.psi", "path.e", *[name for name in loop.units if name.startswith("estimator.")]]
-    return compile(loop, backend="python", every=5, record=record).run(60.0)
-
-
-def late(log: Log, signal: str) -> np.ndarray:
-    return np.array(log[signal][log.t > 30.0])
-
-
-def test_in_a_car_whose_data_sheet_is_wrong_it_knows_better_where_the_car_is_and_controllers_hold_the_path() -> None:
-    plain, adapts = behind("vehicle-state"), behind("adaptive-state")
-    heading = [
-        rms(np.angle(np.exp(1j * (late(log, "estimator.psi") - late(log, "car.psi"))))) for log in (plain, adapts)
-    ]
-    assert heading[1] < 0.9 * heading[0]
-    assert rms(late(adapts, "path.e")) < 0.8 * rms(late(plain, "path.e"))
-    assert late(adapts, "estimator.ratio")[-1] == pytest.approx(1.25, rel=0.02)
-    assert late(adapts, "estimator.doubt").mean() < 0.3 * late(plain, "estimator.doubt").mean()
-    means = [late(log, "estimator.nis").sum() / late(log, "estimator.nis_count").sum() for log in (plain, adapts)]
-    assert abs(means[1] - 1.0) < 0.1

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 from steerkit.controllers.stanley import Stanley
 from steerkit.identification import Drive, identify, read_drive, shipped_drives
-from steerkit.identification.fit import Identified, Simulator, _Problem, predict, priors, stiffnesses
+from steerkit.identification.fit import Identified, Simulator, _Problem, predict, priors
 from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
 from steerkit.plants.steering_actuator import steering_of
 from steerkit.scenario import Scenario
@@ -84,17 +84,6 @@ def test_the_wheelbase_only_scales_the_ratio(found: Identified) -> None:
     assert other["steer_ratio"].value == pytest.approx(found["steer_ratio"].value / 1.1, rel=0.01)
 
 
-def test_white_intervals_are_those_of_the_textbook(clean: dict[str, Any]) -> None:
-    """With white noise the sandwich is sigma^2 (J'J)^-1: both from the same Jacobian, 25 % apart at most."""
-    drive = Drive.of(by_rate(noisy(clean, 3, slow=0.0)))
-    answer = identify(drive, BASE)
-    problem = _Problem(Simulator(drive, BASE), priors(BASE))
-    error, slopes = problem.linearised(np.array([answer.theta[n] for n in answer.free]))
-    textbook = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)) * np.mean(error**2))
-    np.testing.assert_allclose(np.sqrt(np.diag(answer.covariance)), textbook, rtol=0.4)
-    assert answer.correlation_time == pytest.approx(DT, rel=0.3)
-
-
 def test_fixed_and_known(clean: dict[str, Any]) -> None:
     drive = Drive.of(noisy(clean, 0))
     answer = identify(drive, BASE, fixed={"lag": 0.09}, known={"steer_ratio": (14.0, 0.1)})
@@ -114,10 +103,22 @@ N = 100
 PRIORS = priors(BASE)
 
 
-def problem(rates: Any = None, r: Any = 0.0, **table: Any) -> _Problem:
-    """Of 100 samples with these rates and priors."""
-    drive = SimpleNamespace(dt=DT, driving=np.ones(N, dtype=bool), v=np.ones(N), r=r * np.ones(N), scale_deviation=0.0)
+FREE = replace(PRIORS["steer_ratio"], mean=10.0, deviation=1e3, low=-1e4, high=1e4)
+"""The one parameter of a problem, of which nearly nothing is known."""
+ZEROED = replace(PRIORS["rate_zero"], deviation=0.0)
+
+
+def problem(rates: Any = None, r: Any = 0.0, n: int = N, **table: Any) -> _Problem:
+    """Of n samples with these rates and priors."""
+    drive = SimpleNamespace(dt=DT, driving=np.ones(n, dtype=bool), v=np.ones(n), r=r * np.ones(n), scale_deviation=0.0)
     return _Problem(SimpleNamespace(drive=drive, base=BASE, yaw_rates=rates), table)  # type: ignore[arg-type]
+
+
+def linear(x: np.ndarray, r: np.ndarray) -> _Problem:
+    """r = x steer_ratio, to be solved for the ratio."""
+    return problem(
+        lambda sets: np.outer(x, [one["steer_ratio"] for one in sets]), r, len(x), steer_ratio=FREE, rate_zero=ZEROED
+    )
 
 
 def test_a_residual_is_correlated_until_it_has_died_out() -> None:
@@ -133,17 +134,9 @@ def test_slow_errors_count_in_full_however_short_the_blocks_are() -> None:
     a = exp(-1/tau); blocks, an eighth of the record at most, cut off two fifths of it.
     """
     n, a, rng, claimed = 400, math.exp(-1.0 / 20.0), np.random.default_rng(1), []
-    table = {"steer_ratio": replace(PRIORS["steer_ratio"], mean=10.0, deviation=1e3, low=-1e4, high=1e4)}
-    table |= {"rate_zero": replace(PRIORS["rate_zero"], deviation=0.0)}
     for _ in range(200):
         error = lfilter([math.sqrt(1.0 - a * a)], [1.0, -a], rng.normal(size=n + 200))[200:]
-        drive = SimpleNamespace(
-            dt=DT, driving=np.ones(n, dtype=bool), v=np.ones(n), scale_deviation=0.0, r=12.0 + error
-        )
-        simulator = SimpleNamespace(
-            drive=drive, yaw_rates=lambda s: np.outer(np.ones(n), [x["steer_ratio"] for x in s])
-        )
-        one = _Problem(simulator, table)  # type: ignore[arg-type]
+        one = linear(np.ones(n), 12.0 + error)
         theta, sigma, _ = one.solve()
         claimed.append([c[0, 0] for c in one.covariance(theta, sigma)[0]])
     expected = (1.0 + 2.0 * a / (1.0 - a)) / n
@@ -157,9 +150,7 @@ def test_no_variance_is_negative_where_an_autocorrelation_that_is_cut_off_has_a_
     w = np.linspace(0.0, np.pi, 2001)
     least = float(w[np.argmin(1.0 + 2.0 * np.cos(np.outer(w, lags)).sum(axis=1))])
     x = np.cos(least * np.arange(N))
-    table = {"steer_ratio": replace(PRIORS["steer_ratio"], mean=10.0, deviation=1e6, low=-1e7, high=1e7)}
-    table |= {"rate_zero": replace(PRIORS["rate_zero"], deviation=0.0)}
-    one = problem(lambda sets: np.outer(x, [each["steer_ratio"] for each in sets]), 10.0 * x + 1.0, **table)
+    one = linear(x, 10.0 * x + 1.0)
     for covariance in one.covariance(np.array([10.0]), 1.0)[0]:
         assert covariance[0, 0] >= 0.0
 
@@ -173,7 +164,7 @@ def test_at_a_bound_the_secant_to_half_a_deviation_inside_counts() -> None:
             return np.outer(x, [k * one["steer_ratio"] ** n - 132.0 * (n == 1) for one in sets])
 
         ratio = replace(PRIORS["steer_ratio"], mean=10.0, deviation=2.0, low=1.0, high=high)
-        found.append(problem(rates, 7.0, steer_ratio=ratio, rate_zero=replace(PRIORS["rate_zero"], deviation=0.0)))
+        found.append(problem(rates, 7.0, steer_ratio=ratio, rate_zero=ZEROED))
     one, other = (each.covariance(np.array([12.0]), 3.0) for each in found)
     np.testing.assert_allclose(one[0], other[0], rtol=1e-6)
     assert one[1] == other[1]
@@ -225,24 +216,12 @@ def test_the_covariance_allows_for_errors_that_are_larger_where_they_matter() ->
     """White 1982: r = x theta with error sizes s x has the variance s^2 sum x^4/(sum x^2)^2, found by repetition."""
     n, rng = 4000, np.random.default_rng(0)
     x = np.where(np.arange(n) % 10 == 0, 3.0, 0.3)  # a tenth of the samples holds nearly everything
-    table = {"steer_ratio": replace(priors(BASE)["steer_ratio"], mean=10.0, deviation=1e3, low=-1e4, high=1e4)}
-    table |= {"rate_zero": replace(priors(BASE)["rate_zero"], deviation=0.0)}
     claimed, estimates = [], []
     for _ in range(60):
-        drive = SimpleNamespace(
-            dt=DT,
-            driving=np.ones(n, dtype=bool),
-            v=np.ones(n),
-            scale_deviation=0.0,
-            r=12.0 * x + 0.5 * x * rng.normal(size=n),
-        )
-        simulator = SimpleNamespace(
-            drive=drive, yaw_rates=lambda sets: np.outer(x, [one["steer_ratio"] for one in sets])
-        )
-        problem = _Problem(simulator, table)  # type: ignore[arg-type]
-        theta, sigma, _ = problem.solve()
+        one = linear(x, 12.0 * x + 0.5 * x * rng.normal(size=n))
+        theta, sigma, _ = one.solve()
         estimates.append(theta[0])
-        claimed.append(np.sqrt(problem.covariance(theta, sigma)[0][0][0, 0]))
+        claimed.append(np.sqrt(one.covariance(theta, sigma)[0][0][0, 0]))
     expected = 0.5 * np.sqrt(np.sum(x**4)) / np.sum(x**2)
     assert np.std(estimates) == pytest.approx(expected, rel=0.25)  # three standard errors of 60 repetitions
     assert np.mean(estimates) == pytest.approx(12.0, abs=4.0 * expected / np.sqrt(60))
@@ -281,11 +260,6 @@ def test_the_vehicle_file_comes_back_and_drives(found: Identified, tmp_path: Pat
     text = file.read_text()
     for words in ("[provenance]", 'log = "lap"', "held_out_rms", 'source = "log"', 'command = "steerkit identify lap"'):
         assert words in text
-
-
-def test_stiffnesses_and_gradient_are_the_vehicles_own() -> None:
-    c_f, c_r = stiffnesses(BASE, 0.007, 0.004)
-    assert replace(BASE, c_f=c_f, c_r=c_r).understeer_gradient == pytest.approx(0.003, rel=1e-12)
 
 
 def test_the_shipped_drives_have_the_figures_of_the_docs() -> None:

@@ -97,13 +97,6 @@ def test_a_drive_without_noise_tells_all() -> None:
     assert (car.c_f, car.mu) == (found["c_f"].value, min(found["mu_f"].value, found["mu_r"].value))
 
 
-def test_left_and_right_are_alike() -> None:
-    one, other = found_under_noise(), identify_tyres(mirrored(made(noise=0.05)))
-    for name in ("c_f", "c_r", "mu_f", "delay"):
-        assert other.theta[name] == pytest.approx(one.theta[name], rel=1e-3), name
-    assert other.theta["offset"] == pytest.approx(-one.theta["offset"], rel=1e-2)
-
-
 def test_ahead_left_and_right_are_alike() -> None:
     drive, found, starts = made(noise=0.05), found_under_noise(), np.arange(200, 1900, 7)
     other = replace(found, theta=found.theta | {name: -found.theta[name] for name in ("offset", "slip_zero")})

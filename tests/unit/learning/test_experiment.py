@@ -27,17 +27,6 @@ def test_a_failure_ends_the_episode_and_a_net_takes_over_after_the_charged_time(
     assert abs(log["path.e"][after][0]) < 0.1
 
 
-def test_no_transition_is_recorded_under_recovery(kept: Path) -> None:
-    run = rundir.load(kept)
-    learning = rundir.drive_log(kept)["supervisor.learning"] > 0.5
-    tripped = run.counts.failures
-    held = int(learning.sum())
-    still_driving = int(bool(learning[-1]))
-    assert len(run.transitions) == held - still_driving
-    failures = np.abs(run.transitions.s_next[:, 0]) > 0.5
-    assert failures.sum() == tripped
-
-
 def test_a_reset_puts_the_car_back_and_costs_its_time(tmp_path: Path) -> None:
     setting_ = replace(SHORT.setting, after_failure="reset", reset_seconds=20.0)
     failed: list[float] = []

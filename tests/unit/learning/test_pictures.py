@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from PIL import Image
 
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning import rundir
@@ -90,18 +89,6 @@ def test_an_episode_that_ended_otherwise_is_no_failure(record: Record) -> None:
 
 
 # ---- the film
-
-
-def test_a_film_has_its_length_and_every_picture_differs(kept: Path, tmp_path: Path) -> None:
-    file = film_of(kept, tmp_path / "new" / "run.gif", lasts=3.0, fps=2.0)
-    durations, means = [], []
-    with Image.open(file) as film:
-        for k in range(film.n_frames):
-            film.seek(k)
-            means.append(np.asarray(film.convert("L"), dtype=float).mean())
-            durations.append(film.info["duration"])
-    assert durations == [500] * 6
-    assert len(set(means)) == len(means)
 
 
 def test_the_beginning_is_real_time_until_the_learner_has_the_wheel_again(record: Record) -> None:

@@ -151,14 +151,6 @@ def test_simulated_nets_are_ready_when_the_charged_time_has_passed() -> None:
     assert same(again.learned.nets, expected(2, first.nets))
 
 
-def test_simulated_errors_are_raised_where_they_are_made() -> None:
-    with pytest.raises(ValueError, match="no transitions, expected at least one"):
-        SimulatedTrainer().submit(job(1, transitions=Transitions()), 0.0)
-    for seconds in (-1.0, float("inf")):
-        with pytest.raises(ValueError, match=f"seconds = {seconds}"):
-            SimulatedTrainer(seconds=seconds)
-
-
 # ---- in a process -----------------------------------------------------------------------------------------------
 
 

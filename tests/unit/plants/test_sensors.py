@@ -154,15 +154,6 @@ def test_sideslip_is_that_of_a_rear_axle_that_does_not_slide() -> None:
     assert seen(Sensors(rear=p.l_r), truth * 0.0)[:, 4] == pytest.approx([0.0] * 3)
 
 
-def test_the_real_ones() -> None:
-    sensors = Sensors.real(VW_PASSAT, seed=7)
-    found = seen(sensors, standing(2000))
-    assert found[:, 3].std() == pytest.approx(0.05, rel=0.1)
-    assert found[:, 4] == pytest.approx(VW_PASSAT.l_r * found[:, 5] / found[:, 3])
-    silent = Sensors.real(VW_PASSAT, 7, 0.0)
-    assert seen(silent, standing(50))[:, [0, 1, 2, 3, 5]] == pytest.approx(standing(50)[:, [0, 1, 2, 3, 5]])
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -240,12 +240,6 @@ def test_members_share_the_cores_that_the_process_has(
     assert nfq.threads() == expected
 
 
-def test_ranges_become_minus_one_and_one() -> None:
-    low, high = np.array([STANDARD.low]), np.array([STANDARD.high])
-    assert patterns(STANDARD, low, np.array([-0.5]), 0.5).tolist() == [[-1.0] * 7]
-    assert patterns(STANDARD, high, np.array([0.5]), 0.5).tolist() == [[1.0] * 7]
-
-
 def test_mirroring_patterns_is_mirroring_states() -> None:
     record = recorded(50)
     there = patterns(STANDARD, record.s * STANDARD.mirror_signs, -record.a, 0.5)
