@@ -1,8 +1,9 @@
 """Tests mirror the house: the test of a file is found by its name.
 
 `steerkit/plants/sensors.py` is tested in `tests/unit/plants/test_sensors.py`, `benchmarks/run/compare.py` in
-`tests/unit/benchmarks/run/test_compare.py`, what a package itself holds in `tests/unit/gym/test_gym.py`. A long test
-is split by what it is about, `test_app_habits.py` beside `test_app.py`. What is tested elsewhere is imported there.
+`tests/unit/benchmarks/run/test_compare.py`, what a package itself holds in `tests/unit/scenario/test_scenario.py`. A
+long test is split by what it is about, `test_app_habits.py` beside `test_app.py`. What is tested elsewhere is imported
+there.
 """
 
 import ast

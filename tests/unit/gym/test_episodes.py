@@ -1,4 +1,4 @@
-"""Episodes in C are those of Python, in whatever way they go on, with however many threads."""
+"""Episodes of many cars are those of single ones, in Python and in C, however they go on."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +14,7 @@ from steerkit.gym.episodes import Episodes, episode_code
 from steerkit.gym.task import Task
 
 pytestmark = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
+ID = "steerkit/TrackSteering-v0"
 CARS = 19  # more than two groups of lanes, and not a whole number of them
 
 
@@ -27,16 +28,20 @@ class Sorting:
         return np.sort(np.abs(s_next[:, 0])), s_next[:, 0] > 0.5
 
 
-def rolled(backend: str, mode: AutoresetMode, **options: Any) -> tuple[list[Any], Any]:
-    """What two seconds of random actions bring, and the environment."""
-    env = TrackSteeringVector(CARS, backend=backend, autoreset_mode=mode, duration=0.8, **options)  # type: ignore[arg-type]
+def rolled(env: Any, mode: AutoresetMode = AutoresetMode.NEXT_STEP) -> list[Any]:
+    """What two seconds of random actions bring."""
     rows: list[Any] = [*env.reset(seed=5)]
+    over = np.zeros(CARS, dtype=bool)
     for actions in np.random.default_rng(1).integers(0, 5, (40, CARS)):
-        over = env._cars.over.copy()
         if mode is AutoresetMode.DISABLED and over.any():
             rows += [*env.reset(options={"reset_mask": over})]
         rows += [*env.step(actions)]
-    return rows, env
+        over = rows[-3] | rows[-2]
+    return rows
+
+
+def made(backend: str, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any) -> Any:
+    return TrackSteeringVector(CARS, backend=backend, autoreset_mode=mode, duration=0.8, **options)  # type: ignore[arg-type]
 
 
 def same(a: Any, b: Any) -> None:
@@ -54,19 +59,23 @@ def same(a: Any, b: Any) -> None:
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-def test_in_each_way_to_go_on_they_are_those_of_python(mode: AutoresetMode) -> None:
-    (python, by_python), (compiled, in_c) = (rolled(backend, mode) for backend in ("python", "c"))
+def test_in_each_way_to_go_on_they_are_those_of_single_cars(mode: AutoresetMode) -> None:
+    """Which Gymnasium drives one by one."""
+    how: dict[str, Any] = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": mode}}
+    single = rolled(gymnasium.make_vec(ID, CARS, duration=0.8, conditions="hard", **how), mode)
+    by_python, in_c = (made(backend, mode, conditions="hard") for backend in ("python", "c"))
     assert isinstance(in_c._cars, Episodes)
-    for a, b in zip(python, compiled, strict=True):
-        same(a, b)
-    ends = [int(flags.sum()) for flags in python if isinstance(flags, np.ndarray) and flags.dtype.kind == "b"]
+    for env in (by_python, in_c):
+        for a, b in zip(single, rolled(env, mode), strict=True):
+            same(a, b)
+    ends = [int(flags.sum()) for flags in single if isinstance(flags, np.ndarray) and flags.dtype.kind == "b"]
     assert sum(ends) > CARS
     for a, b in zip(by_python.np_random, in_c.np_random):
         assert a.bit_generator.state == b.bit_generator.state
 
 
 def test_however_many_threads_it_is_the_same_to_the_bit() -> None:
-    one, three = (rolled("c", AutoresetMode.SAME_STEP, threads=threads)[0] for threads in (1, 3))
+    one, three = (rolled(made("c", AutoresetMode.SAME_STEP, threads=threads)) for threads in (1, 3))
     for a, b in zip(one, three, strict=True):
         if isinstance(a, np.ndarray):
             assert np.array_equal(a, b)
@@ -84,11 +93,9 @@ def test_without_copies_the_arrays_are_written_over() -> None:
 
 
 def test_a_cost_that_cannot_be_compiled_is_computed_in_python_and_that_is_said() -> None:
-    options: dict[str, Any] = {"cost": Sorting()}
-    python, _ = rolled("python", AutoresetMode.NEXT_STEP, **options)
     with pytest.warns(UserWarning, match="the cost cannot be run on symbols.*computed in Python"):
-        compiled, _ = rolled("c", AutoresetMode.NEXT_STEP, **options)
-    for a, b in zip(python, compiled, strict=True):
+        compiled = made("c", cost=Sorting())
+    for a, b in zip(rolled(made("python", cost=Sorting())), rolled(compiled), strict=True):
         same(a, b)
 
 

@@ -53,16 +53,6 @@ def test_it_drives_as_the_drive_does_and_its_rewards_are_the_cost(tmp_path: Any)
     assert rewards == pytest.approx(-each)
 
 
-def test_an_agent_of_others_learns_in_it() -> None:
-    sb3 = pytest.importorskip("stable_baselines3")
-    model = sb3.SAC("MlpPolicy", steerkit.gym.LateralAcceleration(seconds=3.0), learning_starts=50, seed=0)
-    seen = model.env.reset()
-    before = model.predict(seen, deterministic=True)[0]
-    model.learn(60)
-    after = model.predict(seen, deterministic=True)[0]
-    assert 0.0 < np.abs(after - before) < 2.0
-
-
 def test_each_episode_is_its_seeds() -> None:
     env = steerkit.gym.LateralAcceleration(seconds=6.0)
     first = [env.reset(seed=seed)[0] for seed in (3, 3, 4)]

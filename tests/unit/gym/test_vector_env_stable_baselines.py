@@ -1,7 +1,6 @@
 """Policies of Stable-Baselines3 as blocks."""
 
 import sys
-from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -55,42 +54,15 @@ def test_stable_baselines3_has_nothing_to_say() -> None:
 
 @pytest.mark.parametrize("between", ["ReLU", "Tanh"])
 @pytest.mark.parametrize("kind", ["DQN", "SAC", "TD3", "PPO"])
-def test_layers_are_found_where_these_models_keep_them(kind: str, between: str) -> None:
-    """Nets of torch in objects that are shaped as Stable-Baselines3's are; it itself is needed below only."""
+def test_the_block_of_a_stable_baselines3_model_predicts_what_the_model_does(kind: str, between: str) -> None:
+    sb3 = pytest.importorskip("stable_baselines3")
     import torch  # here, as it takes longer than all else together, and most processes of the tests can do without
 
     task = Task(actions="i-doe" if kind == "DQN" else "continuous")
-    last = len(task.angles or (0.0,))
-    torch.manual_seed(0)
-    own = getattr(torch.nn, between)
-    inner = torch.nn.Sequential(torch.nn.Linear(6, 5), own(), torch.nn.Linear(5, 4), own())
-    outer = torch.nn.Linear(4, last)
-    if kind == "DQN":
-        policy = SimpleNamespace(q_net=SimpleNamespace(q_net=torch.nn.Sequential(*inner, outer)))
-    elif kind == "PPO":
-        policy = SimpleNamespace(mlp_extractor=SimpleNamespace(policy_net=inner), action_net=outer)
-    elif kind == "SAC":
-        policy = SimpleNamespace(actor=SimpleNamespace(latent_pi=inner, mu=outer))
-    else:
-        policy = SimpleNamespace(actor=SimpleNamespace(mu=torch.nn.Sequential(*inner, outer, torch.nn.Tanh())))
-    spaces = {"observation_space": task.observation_space, "action_space": task.action_space}
-    block = steerkit.gym.from_stable_baselines(type(kind, (), {**spaces, "policy": policy})(), task)
-    observations = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 6))
-    with torch.no_grad():
-        raw = outer(inner(torch.as_tensor(observations, dtype=torch.float32))).numpy().astype(float)
-    squashed = np.tanh(raw[:, 0]) if kind in ("SAC", "TD3") else np.clip(raw[:, 0], -1.0, 1.0)
-    expected = np.array(task.angles)[raw.argmax(axis=1)] if kind == "DQN" else task.scale * squashed
-    d = task.description
-    told = block.output(0.0, (), block.D(*(observations * d.half + d.mid).T)).action
-    np.testing.assert_allclose(told, expected, atol=1e-5)
-
-
-@pytest.mark.parametrize("kind", ["DQN", "SAC", "TD3", "PPO"])
-def test_the_block_of_a_stable_baselines3_model_predicts_what_the_model_does(kind: str) -> None:
-    sb3 = pytest.importorskip("stable_baselines3")
-    task = Task(actions="i-doe" if kind == "DQN" else "continuous")
     env = TrackSteering(actions="i-doe" if kind == "DQN" else "continuous")
-    model = getattr(sb3, kind)("MlpPolicy", env, seed=0, policy_kwargs={"net_arch": [16, 16]})
+    model = getattr(sb3, kind)(
+        "MlpPolicy", env, seed=0, policy_kwargs={"net_arch": [16, 16], "activation_fn": getattr(torch.nn, between)}
+    )
     block = steerkit.gym.from_stable_baselines(model)  # of the task that its environment has
     observations = np.random.default_rng(0).uniform(-2.0, 2.0, (200, 6)).astype(np.float32)
     actions, _ = model.predict(observations, deterministic=True)

@@ -54,25 +54,11 @@ def synthetic(one: Manoeuvre, answer: Any, side: str = "left", number: int = 1, 
 @pytest.mark.parametrize("name", ["steady-state-circle", "random-steer", "pulse-steer", "step-steer"])
 def test_simulated_manoeuvres_of_the_linear_single_track_give_its_closed_forms(name: str) -> None:
     found, truth = evaluated(name), closed_forms(PASSAT, manoeuvre(name).conditions.v)
+    truth["rear_compliance"] = PASSAT.m * PASSAT.l_f / (PASSAT.wheelbase * PASSAT.c_r)
     told = {r.quantity: r.value for r in found.results if r.quantity in truth}
     assert len(told) >= (1 if name == "step-steer" else 3)
     for quantity, value in told.items():
         assert value == pytest.approx(truth[quantity], rel=0.005), quantity
-
-
-def test_the_rear_axle_s_compliance_is_that_of_the_car() -> None:
-    expected = PASSAT.m * PASSAT.l_f / (PASSAT.wheelbase * PASSAT.c_r)
-    assert evaluated("steady-state-circle")["rear_compliance"].value == pytest.approx(expected, rel=1e-3)
-
-
-def test_a_neutral_car_has_no_second_order_answer_to_be_read() -> None:
-    """Its pole is on its zero: the yaw rate's answer is of first order."""
-    scenario, one = linear("bmw-320i"), manoeuvre("random-steer")
-    found = evaluate(one, simulated(one, scenario), scenario.nominal)
-    assert found["damping"].note.startswith("not determined") or found["damping"].value < 1.5
-    assert found["yaw_gain"].value == pytest.approx(
-        closed_forms(scenario.nominal, one.conditions.v)["yaw_gain"], rel=5e-3
-    )
 
 
 @pytest.mark.parametrize(
@@ -241,16 +227,18 @@ def test_left_and_right_are_the_same_mirrored(name: str) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda s: {"v": s["v"] + 1.5}, "speed 1.50 m/s off"),
-        (lambda s: {"r": s["r"] + 0.05}, "not straight ahead"),
-        (lambda s: {"r": s["r"] * math.nan}, "not finite"),
-        (lambda s: {"a_y": s["a_y"] * 9.0}, r"\|a_y\| ="),
-        (lambda s: {"r": 20.0 * s["r"]}, r"\|r\| ="),
+        (lambda s: s | {"v": s["v"] + 1.5}, "speed 1.50 m/s off"),
+        (lambda s: s | {"r": s["r"] + 0.05}, "not straight ahead"),
+        (lambda s: s | {"r": s["r"] * math.nan}, "not finite"),
+        (lambda s: s | {"a_y": s["a_y"] * 9.0}, r"\|a_y\| ="),
+        (lambda s: s | {"r": 20.0 * s["r"]}, r"\|r\| ="),
+        (lambda s: {name: values[:501] for name, values in s.items()}, "ends after 2.0 of 4.2 s"),
     ],
 )
 def test_a_run_that_breaks_the_conditions_does_not_count(change: Any, said: str) -> None:
     one, good = manoeuvre("step-steer"), runs_of("step-steer")
-    bad = replace(good[1], signals={**good[1].signals, **change(good[1].signals)})
+    signals = change(dict(good[1].signals))
+    bad = replace(good[1], t=good[1].t[: len(signals["v"])], signals=signals)
     found = evaluate(one, [good[0], bad], PASSAT)
     assert len(found.valid) == 1
     assert found["yaw_gain"].n == 1
@@ -258,13 +246,6 @@ def test_a_run_that_breaks_the_conditions_does_not_count(change: Any, said: str)
     none = evaluate(one, [bad], PASSAT)
     assert none.results == ()
     assert none.notes == ("no valid run",)
-
-
-def test_a_run_cut_short_does_not_count() -> None:
-    one, good = manoeuvre("step-steer"), runs_of("step-steer")[0]
-    keep = good.t < 2.0
-    short = replace(good, t=good.t[keep], signals={k: v[keep] for k, v in good.signals.items()})
-    assert "ends after 2.0 of 4.2 s" in evaluate(one, [short], PASSAT).runs[0].invalid
 
 
 @pytest.mark.parametrize(

@@ -78,9 +78,7 @@ def test_another_speed_and_size() -> None:
     assert (one.conditions.v, one.required.a_y) == (8.0, 1.0)
     assert one.at() == one
     assert one.sources["conditions.v"].startswith("as driven or asked for; ISO 7401")
-    assert "27.8" in one.sources["conditions.v"]
     assert one.sources["input.a_y"].startswith("as asked for")
-    assert "input.a_y" not in one.unverified
 
 
 GOOD = """
