@@ -113,28 +113,19 @@ def test_the_gate_reckons_with_the_faster_of_two_speeds(target: str) -> None:
     assert 0.7 * fastest < kappa[-1] - kappa[0] <= 1.01 * fastest
 
 
-def test_five_neutral_frames_follow_and_then_silence() -> None:
-    world = World().bring_to(Mode.ENGAGED)
-    world.order(Order.DISENGAGE)
-    ended = world.t
-    world.until(ended + 2.0)
-    tail = [s for s in world.sent if not s.enable]
-    assert [s.t - tail[0].t for s in tail] == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08], abs=1e-6)
-    assert tail[0].t <= ended + world.config.gate.dt_min + 1e-6
-    assert {s.delta_sw for s in tail} == {[s for s in world.sent if s.enable][-1].delta_sw}
+def frames(world: World, since: float = 0.0) -> list[bytes]:
+    """Those sent from then on."""
+    return [out.data for event, outs in world.events for out in outs if isinstance(out, Send) and event.t >= since]
 
 
 def alerts(world: World, since: float) -> list[bool]:
-    """The ALERT bit of each frame sent from then on, as the kit's DBC has it: bit 22."""
-    sent = [
-        out.data for event, outputs in world.events for out in outputs if isinstance(out, Send) and event.t >= since
-    ]
-    return [bool(data[2] >> 6 & 1) for data in sent]
+    """The ALERT bit of each, as the kit's DBC has it: bit 22."""
+    return [bool(data[2] >> 6 & 1) for data in frames(world, since)]
 
 
 @pytest.mark.parametrize("how", ["space bar", "override", "quality", "end"])
 def test_at_every_takeover_the_kit_is_asked_to_alert_the_human(how: str) -> None:
-    """In all five frames that let go; never while it steers, nor in a frame that clears its faults."""
+    """In all five frames that let go, the wheel where it is; never while it steers, nor when its faults are cleared."""
     world = World().bring_to(Mode.ENGAGED)
     assert not any(alerts(world, 0.0))
     if how == "space bar":
@@ -147,6 +138,11 @@ def test_at_every_takeover_the_kit_is_asked_to_alert_the_human(how: str) -> None
     world.until(began + 0.7)
     ended = next(t for t, mode, _ in world.modes if t >= began and mode is not Mode.ENGAGED)
     assert alerts(world, ended) == [True] * 5
+    *_, held = (s.delta_sw for s in world.sent if s.enable)
+    tail = [s for s in world.sent if s.t >= ended]
+    assert [s.t - tail[0].t for s in tail] == pytest.approx([0.0, 0.02, 0.04, 0.06, 0.08], abs=1e-6)
+    assert tail[0].t <= ended + world.config.gate.dt_min + 1e-6
+    assert {s.delta_sw for s in tail} == {held}
     if world.mode in (Mode.OVERRIDE, Mode.FAULT):
         world.order(Order.ACKNOWLEDGE, then=0.2)
         assert alerts(world, ended) == [True] * 5 + [False]
@@ -155,16 +151,12 @@ def test_at_every_takeover_the_kit_is_asked_to_alert_the_human(how: str) -> None
 def test_the_kit_is_told_to_clear_its_faults_once() -> None:
     world = World()
     world.car.timeout = True
-    world.order(Order.ARM)
-    world.until(0.3)
+    world.order(Order.ARM, then=0.3)
     assert (world.mode, world.sent) == (Mode.STANDBY, [])
-    world.order(Order.ACKNOWLEDGE)
-    world.until(0.6)
-    world.order(Order.ENGAGE)
-    world.until(1.0)
+    world.order(Order.ACKNOWLEDGE, then=0.3)
+    world.order(Order.ENGAGE, then=0.4)
     assert world.mode is Mode.ENGAGED
-    frames = [out.data for _, outputs in world.events for out in outputs if isinstance(out, Send)]
-    clears = [world.config.writer.read(data)[2] for data in frames]
+    clears = [world.config.writer.read(data)[2] for data in frames(world)]
     assert len(clears) > 10
     assert clears == [True] + [False] * (len(clears) - 1)
 

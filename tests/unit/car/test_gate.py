@@ -144,10 +144,6 @@ def test_a_first_step_is_the_largest_that_the_centre_of_gravity_bears(v: float) 
     assert felt[0] <= limits.a_y_max < felt[1]
 
 
-def test_limits_are_checked() -> None:
-    for field in ("delta_sw_max", "rate_max", "v_floor", "quantum", "dt_min"):
-        for value in (0.0, -1.0, math.nan, math.inf):
-            with pytest.raises(ValueError, match=field):
-                GateLimits(**{field: value})
+def test_limits_go_together() -> None:
     with pytest.raises(ValueError, match=r"expected delta_sw_max/steer_ratio < 1\.4 rad"):
         GateLimits(delta_sw_max=22.0, steer_ratio=15.6)

@@ -132,7 +132,7 @@ def pressed(
     return line, shown
 
 
-LETS_GO = dict.fromkeys(("e", "a", "r", " ", "q", "x", "E", "\x1a", "\x1b", "\n", "\ufffd"), Order.DISENGAGE)
+LETS_GO = dict.fromkeys(("e", "a", "g", "r", " ", "q", "x", "E", "\x1a", "\x1b", "\n", "\ufffd"), Order.DISENGAGE)
 
 
 @pytest.mark.parametrize("mode", Mode)

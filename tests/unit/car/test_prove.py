@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partialmethod
 from pathlib import Path
 from typing import Any
 
@@ -185,31 +186,15 @@ def test_what_aborts_a_run(kit: CarConfig, happens: Any, abort: Any, cause: str,
     world.check_bus()
 
 
-@pytest.mark.parametrize(
-    ("name", "happens", "cause"),
-    [("TESLA_MODEL_3", _fault("brake"), "OVERRIDE: brake"), ("TOYOTA_RAV4", _silent, "FAULT: controller silent")],
-)
-def test_runs_of_a_production_car_are_within_its_safety_codes_limits_and_end(
-    name: str, happens: Any, cause: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("name", ["TESLA_MODEL_3", "TOYOTA_RAV4"])
+def test_a_run_of_a_production_car_is_within_its_safety_codes_limits(name: str, tmp_path: Path) -> None:
     """By angle and by torque."""
     pytest.importorskip("opendbc")
-    config = config_on(oval(700.0, 200.0), tmp_path, name)
-    wanted = small("sine", 15.0, 0.3, sides=("left",), repeats=2)
-    world = ProvingWorld(wanted, config, base="mpc")
-    whole = world.begin()
-    world.go_on(lambda: whole["end"] is not None)
-    assert whole["cause"] == ""
-    cut = world.begin()
-    world.until(world.t + 0.3)
-    happens(world)
-    world.go_on(lambda: cut["end"] is not None, 5.0)
-    assert cut["cause"].startswith(cause)
-    assert cut["end"] - cut["begin"] < wanted.seconds
-    world.until(world.t + 1.0)
-    assert max(s.t for s in world.sent if s.enable) - cut["end"] < 0.2
-    block: Any = world.run.loop.blocks["controller"]
-    assert block.amplitude == 0.0
+    wanted = small("sine", 15.0, 0.3, sides=("left",), repeats=1)
+    world = ProvingWorld(wanted, config_on(oval(700.0, 200.0), tmp_path, name), base="mpc")
+    run = world.begin()
+    world.go_on(lambda: run["end"] is not None)
+    assert run["cause"] == ""
     world.check_bus()
     assert world.car.car.counts.rejected == 0
 
@@ -286,14 +271,10 @@ def test_the_largest_size_is_the_linear_cars(kit: CarConfig) -> None:
     t = 3.0 - 0.1  # the ramp counts half
     assert found["e_max"] == pytest.approx(0.7 * 2.0 / (0.5 * t**2), rel=0.01)
     assert found["psi_e_max"] == pytest.approx(0.7 * math.radians(45.0) * V / t, rel=0.01)
-    assert found["jerk_max"] == pytest.approx(0.2 * kit.gate.jerk_max * _felt(kit), rel=0.06)
-    wheel = kit.vehicle.steer_ratio * (kit.vehicle.wheelbase / V**2 + kit.vehicle.understeer_gradient)
+    length = kit.vehicle.wheelbase + kit.vehicle.understeer_gradient * V**2
+    assert found["jerk_max"] == pytest.approx(0.2 * kit.gate.jerk_max * kit.gate.length(V) / length, rel=0.06)
+    wheel = kit.vehicle.steer_ratio * length / V**2
     assert found["delta_sw_max"] == pytest.approx(kit.gate.delta_sw_max / wheel)
-
-
-def _felt(kit: CarConfig) -> float:
-    car = kit.vehicle
-    return float(kit.gate.length(V) / (car.wheelbase + car.understeer_gradient * V**2))
 
 
 def test_how_far_a_course_is_straight() -> None:
@@ -343,19 +324,6 @@ def test_a_run_whose_end_was_not_noted_ends_where_the_car_let_go_or_with_the_rec
     assert ends["end"] - ends["begin"] == pytest.approx(2.0, abs=0.1)
 
 
-def test_a_users_own_manoeuvre_is_replayed_from_what_was_recorded_of_it(kit: CarConfig, tmp_path: Path) -> None:
-    own = replace(small("sine", a_y=0.3, repeats=1, sides=("right",)), name="my-sine")
-    own = replace(own, input=replace(own.required, frequency=0.8))
-    record = recordings.Recording(tmp_path / "own.mcap", recordings.described(kit))
-    world = ProvingWorld(own, kit, recorder=record, yes=True)
-    world.go_on(lambda: bool(world.runs) and world.runs[-1]["end"] is not None)
-    record.close()
-    recorded = recordings.read(tmp_path / "own.mcap")
-    (drive,) = replays.drives(recorded)
-    assert replays.replayed_requests(drive, recordings.config_of(recorded)) == len(drive.requests)
-    assert runs_in(tmp_path / "own.mcap")[0]["manoeuvre"] == "my-sine"
-
-
 @pytest.mark.parametrize(
     "run",
     [
@@ -376,18 +344,9 @@ def test_a_manoeuvre_is_no_controller_to_drive_with(kit: CarConfig) -> None:
 
 def test_the_key_to_consent_orders_nothing_and_every_other_one_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
     came: list[str] = []
-    made = panel.Panel.__init__
-
-    def with_own(self: Any, session: Any, title: str) -> None:
-        made(self, session, title, own={"g": lambda: came.append("g")})
-
-    without, _ = pressed(monkeypatch, Mode.ENGAGED, ["g"])
-    monkeypatch.setattr(panel.Panel, "__init__", with_own)
-    line, _ = pressed(monkeypatch, Mode.ENGAGED, ["g", "g"])
-    assert came == ["g", "g"]
-    assert without.orders.count(Order.DISENGAGE) == 1 + line.orders.count(Order.DISENGAGE)
-    other, _ = pressed(monkeypatch, Mode.ENGAGED, ["x"])
-    assert other.orders.count(Order.DISENGAGE) == without.orders.count(Order.DISENGAGE)
+    made = partialmethod(panel.Panel.__init__, own={"g": lambda: came.append("g")})
+    monkeypatch.setattr(panel.Panel, "__init__", made)
+    assert pressed(monkeypatch, Mode.ENGAGED, ["g", "x", "g"])[0].orders == [Order.DISENGAGE]
     assert came == ["g", "g"]
 
 

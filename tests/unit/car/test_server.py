@@ -115,12 +115,6 @@ def test_there_is_room_for_so_many_clients_and_those_who_are_here_notice_nothing
     assert isinstance(answer(car_server, connected(car_server, tmp_path)), protocol.Snapshot)
 
 
-def test_where_nobody_ever_comes_it_ends_too(car_server: CarServer) -> None:
-    car_server.linger = -1.0
-    car_server._turn()
-    assert (car_server.stopping, car_server.cause) == (True, "no client for -1 s")
-
-
 def test_a_calibration_beside_a_car_server_that_runs_says_why_there_is_none(
     car_server: CarServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -233,7 +227,7 @@ ENDS: dict[str, tuple[Callable[[CarServer], None], str | BaseException]] = {
     ),
     "the keyboard": (lambda it: it._frames.put(KeyboardInterrupt("Ctrl-C")), KeyboardInterrupt("Ctrl-C")),
     "a signal": (lambda it: os.kill(os.getpid(), signal.SIGTERM), "the car server got SIGTERM"),
-    "nobody is there": (lambda it: vars(it).update(linger=-1.0, _alone_since=it.clock.now()), "no client for -1 s"),
+    "nobody is there": (lambda it: setattr(it, "linger", -1.0), "no client for -1 s"),
     "an order to stop": (lambda it: it.stop(), "the car server was stopped"),
 }
 """What ends it, and the cause that is recorded, or what it fails of."""

@@ -237,7 +237,7 @@ def test_each_side_of_a_check_and_an_age_that_reaches_its_limit(check: Any, name
 @pytest.mark.parametrize(
     "facts",
     [
-        {"v": -LIMITS.v_reverse},
+        {"v": -LIMITS.v_reverse, "v_kit": 0.0},
         {"v_kit": -LIMITS.v_reverse, "v": 0.0},
         {"v": LIMITS.v_max, "v_kit": LIMITS.v_max},
         {"v": 5.0, "v_kit": 5.0 - LIMITS.v_mismatch},
@@ -246,19 +246,21 @@ def test_each_side_of_a_check_and_an_age_that_reaches_its_limit(check: Any, name
         {"e_growth": LIMITS.e_growth},
         {"quality": LIMITS.quality},
         {"request": LIMITS.delta_sw_max * (1.0 + 1e-9)},  # as rounding on the bus may have it
-        {"request_age": math.inf, "request": math.nan},  # of what is not there the value is not judged
         *({name: getattr(LIMITS, name) - 1e-9} for name in ("report_age", "pose_age", "lateness", "echo_age")),
         {"request_age": LIMITS.request_lost - 1e-9},
         {"follow_age": LIMITS.follow_time - 1e-9},
         {"heartbeat_age": LIMITS.heartbeat - 1e-9},
+        {"foreign_enable": LIMITS.foreign_enable - 1e-9},
         {"enabled": False, "engaged_for": LIMITS.enable_time - 1e-9},
         *({name: getattr(LIMITS, name) - 1} for name in ("torque_reports", "integrity_errors", "misses")),
     ],
 )
 def test_exactly_at_its_limit_a_check_holds_while_driving(facts: dict[str, Any]) -> None:
-    usual = GOOD._replace(v=0.0, v_kit=0.0) if "v" in facts or "v_kit" in facts else GOOD
-    expected = {"controller silent"} if facts.get("request_age") == math.inf else set()
-    assert names(usual._replace(**facts), human, always, driving) == expected
+    assert names(GOOD._replace(**facts), human, always, driving, foreign_enable) == set()
+
+
+def test_of_what_is_not_there_the_value_is_not_judged() -> None:
+    assert names(GOOD._replace(request_age=math.inf, request=math.nan), always, driving) == {"controller silent"}
 
 
 @pytest.mark.parametrize(
@@ -277,10 +279,6 @@ def test_exactly_at_its_limit_a_check_holds_while_driving(facts: dict[str, Any])
 )
 def test_exactly_at_its_limit_a_check_holds_for_engaging(facts: dict[str, Any]) -> None:
     assert names(GOOD._replace(**facts), engaging) == set()
-
-
-def test_a_kit_that_others_enable_is_no_fault_before_its_limit() -> None:
-    assert names(GOOD._replace(foreign_enable=LIMITS.foreign_enable - 1e-9), foreign_enable) == set()
 
 
 def test_the_operator_is_warned_of_the_end_of_the_course_and_only_then() -> None:
