@@ -59,15 +59,6 @@ def test_a_signal_may_be_a_port_and_a_loop_linearises_whole() -> None:
     assert np.abs(steering.poles()).max() == pytest.approx(1.0, abs=1e-6)  # the way driven
 
 
-def test_prediction_gives_stanley_back_its_delay_margin() -> None:
-    for v in (4.0, 9.0):
-        assert margins(break_at(steered(v), "controller.delta_sw")).delay > 0.15
-    textbook = break_at(steered(9.0, Stanley.textbook(PASSAT)), "controller.delta_sw")
-    assert np.abs(control.feedback(textbook).poles()).max() > 1.0
-    with pytest.raises(analysis.UnstableError):
-        margins(textbook)
-
-
 def test_what_does_not_matter_is_left_out() -> None:
     """Noise generators, the human's mood and the way driven are no part of the loop."""
     loop = steered(driver=SpeedDriver(v_min=6.0, v_max=6.0), sensors=Sensors(psi_bias=0.0))

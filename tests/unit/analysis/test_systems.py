@@ -50,25 +50,6 @@ def test_a_system_of_python_controls_runs_as_it_does_there() -> None:
     assert compile(loop, backend="python").run(3.0)["system.y"][-1] == pytest.approx(log["system.y"][-1], abs=1e-12)
 
 
-def test_a_diagram_of_python_controls_is_a_block_too() -> None:
-    """`interconnect` of a nonlinear plant and a filter, discrete: the same steps, also in a batch."""
-    ports = dict(dt=0.05, states=1, inputs=["u"], outputs=["y"], name="plant", params={"a": 0.9})
-    plant = control.nlsys(lambda t, x, u, p: [p["a"] * x[0] + np.sin(u[0])], lambda t, x, u, p: [x[0]], **ports)
-    law = control.ss([[0.5]], [[1.0]], [[0.3]], [[0.2]], 0.05, inputs=["e"], outputs=["w"], name="law")
-    system = control.interconnect(
-        [plant, law], [["plant.u", "law.w"], ["law.e", "-plant.y"]], ["law.e"], ["plant.y"], inputs=["r"], outputs=["y"]
-    )
-    block, u = FromControl(system=system, direct=False), np.sin(np.arange(20.0))
-    theirs = control.input_output_response(system, 0.05 * np.arange(20), u)
-    for shape in ((), (3,)):
-        x, found = block.init(shape), []
-        for k, r in enumerate(u):
-            y = block.output(0.05 * k, x, ())
-            found.append(np.max(y.y))
-            x = block.update(0.05 * k, x, block.U(r=np.full(shape, r) if shape else float(r)), y)
-        np.testing.assert_allclose(found, theirs.outputs, atol=1e-12)
-
-
 def test_an_exported_loop_that_starts_later_knows_its_time() -> None:
     """One of its blocks depends on t; python-control's time counts from the state it starts from."""
     loop = mixed_loop()

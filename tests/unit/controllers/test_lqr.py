@@ -44,26 +44,6 @@ def test_its_model_is_the_car_behind_the_actuator(delay: float) -> None:
     assert np.any(kappa_in[:2])
 
 
-@pytest.mark.parametrize("v", [2.0, 5.0, 9.0])
-def test_delay_states_are_a_prediction(v: float) -> None:
-    """The gain of the delayed car is that of the car without delay on the state when the command arrives.
-
-    K_delayed = K [A^n, A^(n-1) B, ..., B]: known commands cost nothing but their prediction (Mirkin, Raskin 2003).
-    """
-    n = 3
-    k, _ = design().gains(v, 1)
-    late, _ = design(delay=n * 0.05).gains(v, 1)
-    a, b, _ = design().model(v)  # x: motion and the last command; the input is its step
-    motion, command = a[:5, :5], a[:5, 5]
-    ahead = np.zeros((6, 5 + n))
-    ahead[:5, :5] = np.linalg.matrix_power(motion, n)
-    for j in range(n):  # oldest first; it acts from now on
-        ahead[:5, 5 + j] = np.linalg.matrix_power(motion, n - 1 - j) @ command
-    ahead[5, -1] = 1.0
-    np.testing.assert_allclose(late, k @ ahead, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(b[:5], command)
-
-
 @pytest.mark.parametrize("delay", [0.0, 0.12, 0.2])
 def test_the_block_closes_the_loop_of_its_own_model(delay: float) -> None:
     """For small errors on a straight: x+ = (A - B K) x, commands on their way and all."""

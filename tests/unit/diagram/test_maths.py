@@ -52,26 +52,35 @@ def test_signs_and_wrapped_angles(x: float) -> None:
         assert math.remainder(angle - x, math.tau) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("a", [0.0, 1.0])
-@pytest.mark.parametrize("b", [0.0, 1.0])
-def test_both_and_either(a: float, b: float) -> None:
-    def as_number(how: Any) -> Any:
-        return lambda x, y: m.where(how(x > 0.5, y > 0.5), 1.0, 0.0)
-
-    assert everywhere(as_number(m.both), a, b) == [a * b] * 3
-    assert everywhere(as_number(m.either), a, b) == [max(a, b)] * 3
+def number(condition: Any) -> Any:
+    return m.where(condition, 1.0, 0.0)
 
 
-@pytest.mark.parametrize(("x", "answer"), [(-3.0, -1.0), (0.5, 0.5), (3.0, 2.0), (math.nan, math.nan)])
-def test_a_limiter_keeps_a_nan(x: float, answer: float) -> None:
-    assert everywhere(lambda value: m.clip(value, -1.0, 2.0), x) == pytest.approx([answer] * 3, nan_ok=True)
+def summed(a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Of two numbers that are chosen together, the first and ten times the second."""
+    first, second = m.chosen(a < b, (a, c), (b, d))
+    return first + 10.0 * second
+
+
+BEYOND = (math.nan, math.inf, -math.inf, 2e300, -2e300)
 
 
 @pytest.mark.parametrize(
-    ("x", "answer"), [(1e12, 1.0), (-1e299, 1.0), (math.inf, 0.0), (-math.inf, 0.0), (math.nan, 0.0)]
+    ("function", "arguments", "answer"),
+    [
+        *((lambda x, y: number(m.both(x > 0.5, y > 0.5)), (a, b), a * b) for a in (0.0, 1.0) for b in (0.0, 1.0)),
+        *((lambda x, y: number(m.either(x > 0.5, y > 0.5)), (a, b), max(a, b)) for a in (0.0, 1.0) for b in (0.0, 1.0)),
+        *((lambda x: m.clip(x, -1.0, 2.0), (x,), y) for x, y in ((-3, -1), (0.5, 0.5), (3, 2), (math.nan, math.nan))),
+        *((lambda x: number(m.is_finite(x)), (x,), float(math.isfinite(x))) for x in (1e12, -1e299, *BEYOND[:3])),
+        (lambda *x: number(m.all_finite(x)), (-1e300, 0.0, 1e300), 1.0),
+        *((lambda *x: number(m.all_finite(x)), (1.0, x, 0.0), 0.0) for x in BEYOND),
+        *((lambda *x: number(m.all_finite(x)), x, 0.0) for x in ((math.nan, 0.0, 1.0), (0.0, 1.0, math.inf))),
+        (summed, (1.0, 2.0, 3.0, 4.0), 31.0),
+        (summed, (1.0, 0.0, 3.0, 4.0), 40.0),
+    ],
 )
-def test_what_is_finite(x: float, answer: float) -> None:
-    assert everywhere(lambda value: m.where(m.is_finite(value), 1.0, 0.0), x) == [float(math.isfinite(x))] * 3
+def test_conditions_limits_and_choices(function: Any, arguments: tuple[float, ...], answer: float) -> None:
+    assert everywhere(function, *arguments) == pytest.approx([answer] * 3, nan_ok=True)
 
 
 @given(rate=st.floats(-2.0, 2.0), start=st.floats(-5.0, 5.0))
@@ -81,24 +90,6 @@ def test_runge_kutta_is_the_exponential_to_fifth_order(rate: float, start: float
     (x,) = m.rk4(lambda x: (rate * x[0],), (start,), h)
     z = rate * h
     assert x == pytest.approx(start * (1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0), rel=1e-13, abs=1e-15)
-
-
-@pytest.mark.parametrize("broken", [math.nan, math.inf, -math.inf, 2e300, -2e300])
-@pytest.mark.parametrize("place", [0, 1, 2])
-def test_all_are_finite_or_one_is_not(broken: float, place: int) -> None:
-    values = [-1e300, 0.0, 1e300]
-    assert [bool(found) for found in everywhere(lambda *v: m.all_finite(v), *values)] == [True] * 3
-    values[place] = broken
-    assert [bool(found) for found in everywhere(lambda *v: m.all_finite(v), *values)] == [False] * 3
-
-
-@pytest.mark.parametrize("condition", [True, False])
-def test_several_are_chosen_together(condition: bool) -> None:
-    def sums(a: Any, b: Any, c: Any, d: Any) -> Any:
-        first, second = m.chosen(a < b, (a, c), (b, d))
-        return first + 10.0 * second
-
-    assert everywhere(sums, 1.0, 2.0 * condition, 3.0, 4.0) == [31.0 if condition else 40.0] * 3
 
 
 def test_a_routine_is_called_on_floats_and_refuses_symbols_outside_of_a_trace() -> None:

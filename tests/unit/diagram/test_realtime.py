@@ -67,33 +67,24 @@ def go(work: Late = None, late: Late = None, seconds: float = 1.0, **options: An
     return run(Loop(blocks={"worker": worker}, wires=[]), seconds, timer=clock, **options), clock
 
 
-def test_every_step_is_due_at_start_plus_k_dt() -> None:
-    work = {k: 0.01 + 0.001 * (k % 7) for k in range(80)} | {51: 0.05}  # just in time
-    live, clock = go(work, {k: 0.0005 * (k % 3) for k in range(80)}, 4.0)
-    assert live.timing.steps == 80
-    assert live.timing.misses == 0
-    assert clock.waits == pytest.approx([1000.0 + 0.05 * k for k in range(80)], abs=1e-9)
+EVEN = {k: 0.01 + 0.001 * (k % 7) for k in range(20)} | {12: 0.05}
+"""Work that is done just in time."""
 
 
-def test_a_late_step_misses_its_deadline_and_the_next_comes_at_once() -> None:
-    live, clock = go({3: 0.06})
-    assert live.timing.misses == 1
-    assert clock.waits == pytest.approx([1000.0 + 0.05 * k for k in range(20)], abs=1e-9)
-    assert live.timing.worst == pytest.approx(0.01)
-
-
-def test_slots_that_have_passed_are_left_out_and_the_rhythm_stays() -> None:
-    live, clock = go({3: 0.17})
-    assert live.timing.misses == 3
-    assert live.timing.steps == 18
-    assert clock.waits == pytest.approx([1000.0 + 0.05 * k for k in (0, 1, 2, 3, *range(6, 20))], abs=1e-9)
-    assert live.k == 18
-
-
-def test_a_system_that_wakes_us_too_late_is_a_miss_too() -> None:
-    live, _ = go(late={4: 0.055})
-    assert live.timing.misses == 1
-    assert live.timing.worst == pytest.approx(0.055)
+@pytest.mark.parametrize(
+    ("work", "late", "misses", "slots", "worst"),
+    [
+        (EVEN, {k: 0.0005 * (k % 3) for k in range(20)}, 0, range(20), 0.001),
+        ({3: 0.06}, {}, 1, range(20), 0.01),  # the next one comes at once
+        ({3: 0.17}, {}, 3, (0, 1, 2, 3, *range(6, 20)), 0.02),  # slots that have passed are left out
+        ({}, {4: 0.055}, 1, range(20), 0.055),  # the system wakes us too late
+    ],
+)
+def test_every_step_is_due_at_start_plus_k_dt(work: Late, late: Late, misses: int, slots: Any, worst: float) -> None:
+    live, clock = go(work, late)
+    assert (live.timing.misses, live.timing.steps, live.k) == (misses, len(slots), len(slots))
+    assert clock.waits == pytest.approx([1000.0 + 0.05 * k for k in slots], abs=1e-9)
+    assert live.timing.worst == pytest.approx(worst)
 
 
 def test_misses_are_told_at_once_and_may_end_the_run() -> None:

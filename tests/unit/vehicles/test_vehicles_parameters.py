@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.units import radians_of
-from steerkit.vehicles import BMW_320I, FORD_ESCORT, VW_PASSAT, G, Vehicle, scaled, vehicle
+from steerkit.vehicles import BMW_320I, VW_PASSAT, G, Vehicle, scaled, vehicle
 
 
 @pytest.mark.parametrize(
@@ -59,13 +59,6 @@ def test_named_cars():
         vehicle("pasat")
     with pytest.raises(ValueError, match="'zzz' is not known; valid: vw-passat"):
         vehicle("zzz")
-
-
-@pytest.mark.parametrize("car", [BMW_320I, FORD_ESCORT], ids=lambda car: car.name)
-def test_commonroads_cars_have_its_tyre_on_both_axles(car):
-    """Stiffness over the axle's load is the tyre's p_ky1 = 21.92, in front and behind."""
-    assert car.c_f / (car.m * G * car.l_r / car.wheelbase) == pytest.approx(21.92)
-    assert car.c_r / (car.m * G * car.l_f / car.wheelbase) == pytest.approx(21.92)
 
 
 @pytest.mark.parametrize(("m", "wheelbase"), [(1462.0, 2.7), (1639.0, 2.71), (900.0, 2.3)])

@@ -26,14 +26,6 @@ def test_rows_come_back_in_order_however_they_were_added(counts: list[int]) -> N
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 
-def test_append_is_extend_by_one() -> None:
-    whole, one_by_one = drive(600), Transitions()
-    for row in range(600):
-        one_by_one.append(whole.s[row], whole.a[row], tuple(whole.s_next[row]), whole.episode[row])
-    np.testing.assert_array_equal(one_by_one.s_next, whole.s_next)
-    assert repr(one_by_one) == "Transitions(600 rows, 60 episodes of e, e_dot, v, psi_e, r_e, doe)"
-
-
 def test_views_are_contiguous_read_only_and_stay_valid() -> None:
     record = drive(10)
     view, before = record.s, record.s.copy()
