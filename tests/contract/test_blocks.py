@@ -498,20 +498,21 @@ def test_equal_arguments_give_equal_results_and_stay_as_they_are(example: Exampl
             np.testing.assert_array_equal(numbers(x), kept)
 
 
+def require_same(example: Example, car: int, together: Any) -> None:
+    """The samples of the example alone are those of that car of a batch."""
+    for (x, _, y, after), (xs, _, ys, afters) in zip(
+        run(example, (), lambda k: of_car(inputs(example.block, k, (CARS,)), car)), together
+    ):
+        for single, batch in ((x, xs), (y, ys), (after, afters)):
+            batch = [np.broadcast_to(value, (CARS,))[car] for value in flat(batch)]
+            np.testing.assert_allclose(flat(single), batch, rtol=1e-11, atol=1e-12)
+
+
 @blocks
 def test_a_batch_is_its_cars_one_by_one(example: Example) -> None:
-    block = example.block
-    together = run(example, (CARS,))
     for car in range(CARS):
-        one = dataclasses.replace(example, block=example.single(block, car))
-
-        def feed(k: int, car: int = car) -> dict[str, Any]:
-            return of_car(inputs(block, k, (CARS,)), car)
-
-        for (x, _, y, after), (xs, _, ys, afters) in zip(run(one, (), feed), together):
-            for single, batch in ((x, xs), (y, ys), (after, afters)):
-                batch = [np.broadcast_to(value, (CARS,))[car] for value in flat(batch)]
-                np.testing.assert_allclose(flat(single), batch, rtol=1e-11, atol=1e-12)
+        one = dataclasses.replace(example, block=example.single(example.block, car))
+        require_same(one, car, run(example, (CARS,)))
 
 
 @pytest.mark.parametrize(
@@ -536,14 +537,8 @@ def test_a_batch_is_its_cars_one_by_one(example: Example) -> None:
 def test_a_parameter_may_differ_from_car_to_car(block: Block, field: str, values: tuple[float, ...]) -> None:
     together = run(Example(dataclasses.replace(block, **{field: np.array(values)})), (CARS,))
     for car, value in enumerate(values):
-        one = Example(dataclasses.replace(block, **{field: value}))
-
-        def feed(k: int, car: int = car) -> dict[str, Any]:
-            return of_car(inputs(block, k, (CARS,)), car)
-
-        for (_, _, y, _), (_, _, ys, _) in zip(run(one, (), feed), together):
-            batch = [np.broadcast_to(scalar, (CARS,))[car] for scalar in flat(ys)]
-            np.testing.assert_allclose(flat(y), batch, rtol=1e-11, atol=1e-12)
+        one: Any = dataclasses.replace(block, **{field: value})
+        require_same(Example(_seeded(one, car) if hasattr(one, "seed") else one), car, together)
 
 
 def depends(block: Block, out: Out) -> set[str]:

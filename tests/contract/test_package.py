@@ -86,14 +86,6 @@ def test_the_citation_names_version_and_paper() -> None:
     assert cited["references"][0]["doi"] == "10.1109/FBIT.2007.37"
 
 
-def test_the_oldest_python_is_the_same_everywhere() -> None:
-    """For installers, the style checker and the type checker."""
-    said = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    assert said["project"]["requires-python"] == ">=3.11"
-    assert said["tool"]["ruff"]["target-version"] == "py311"
-    assert said["tool"]["mypy"]["python_version"] == "3.11"
-
-
 def test_the_hooks_are_the_tools_of_make_lint() -> None:
     yaml = pytest.importorskip("yaml", reason="comes with the extra docs")
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"][0]["hooks"]

@@ -6,8 +6,6 @@ last digits, and a batch is summed in another order.
 
 import re
 import subprocess
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,158 +20,82 @@ from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.controllers.offset_free import CommandCompensation, OffsetFree
 from steerkit.controllers.stanley import Stanley
-from steerkit.diagram.block import Block
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.doe import Integrator, LowPass
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.steering_delay import YawDelay
 from steerkit.export.c import export_c
-from steerkit.paths.courses import course, figure_eight
-from steerkit.plants.sensors import Sensors
-from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
-from steerkit.plants.speed_driver import ConstantSpeed, CurveSpeedDriver, SpeedDriver, SpeedProfile
-from steerkit.plants.steering_actuator import SteeringActuator, SteeringColumn, SteeringLink, TorqueSteering
-from steerkit.scenario.assembly import placed, steering_loop
+from steerkit.scenario import Scenario
+from steerkit.scenario.drive import assembled
 from steerkit.vehicles import VW_PASSAT as CAR
 from tests.support.compilers import optimising
-from tests.support.straight_road import recorded_speed
 
-PAPER = course("paper")
 SECONDS = 1.5
 CARS = 5
 needs_compiler = pytest.mark.skipif(native.compiler() is None, reason="C needs a compiler")
 
-
-def driven(driver: Block, plant: type[Any], rng: np.random.Generator, *, dt: float, **parts: Any) -> Loop:
-    path = figure_eight() if rng.random() < 0.3 else PAPER
-    s, e, psi_e = rng.uniform(0.0, path.length), rng.uniform(-0.4, 0.4), rng.uniform(-0.1, 0.1)
-    substeps = 5 if dt > 0.01 else 1
-    car = placed(plant(vehicle=CAR, dt=dt, substeps=substeps, v0=5.0), path, s=s, e=e, psi_e=psi_e)
-    stanley = {"recovery" if "doe" in parts else "controller": Stanley.of(CAR)}
-    return steering_loop(car=car, path=path, driver=driver, **stanley, **parts)
-
-
-def policy(rng: np.random.Generator) -> NfqPolicy:
-    shapes = ((10, 7), (10,), (10, 10), (10,), (1, 10), (1,))
-    return NfqPolicy(nets=tuple(tuple(rng.uniform(-0.5, 0.5, shape) for shape in shapes) for _ in range(2)))
-
-
-def linear_at_constant_speed(seed: int, rng: np.random.Generator) -> Loop:
-    driver = ConstantSpeed(speed=rng.uniform(0.5, 9.0))
-    return driven(driver, LinearSingleTrack, rng, dt=0.05, actuator=SteeringActuator(delay=0.1, dt=0.05))
-
-
-def linear_with_a_human(seed: int, rng: np.random.Generator) -> Loop:
-    return driven(
-        SpeedDriver(v_min=0.0, v_max=9.0, seed=seed),
-        LinearSingleTrack,
-        rng,
-        dt=0.01,
-        actuator=SteeringActuator(gain=rng.uniform(0.9, 1.1)),
-        sensors=Sensors.hard(seed),
-    )
-
-
-def nonlinear_with_a_record(seed: int, rng: np.random.Generator) -> Loop:
-    driver = recorded_speed(rng.uniform(4.0, 7.5, 9), spacing=0.5)
-    return driven(driver, NonlinearSingleTrack, rng, dt=0.05)
-
-
-def nonlinear_with_a_profile(seed: int, rng: np.random.Generator) -> Loop:
-    driver = SpeedProfile(speeds=tuple(rng.uniform(4.0, 7.5, 400)), spacing=2.0, repeat=True)
-    return driven(driver, NonlinearSingleTrack, rng, dt=0.01, actuator=SteeringActuator())
-
-
-def learner_with_recovery(seed: int, rng: np.random.Generator) -> Loop:
-    driver = CurveSpeedDriver(path=PAPER, driver=SpeedDriver(seed=seed))
-    doe = Integrator() if seed % 2 else LowPass()
-    car = placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.05)
-    return steering_loop(
-        car=car,
-        path=PAPER,
-        driver=driver,
-        controller=policy(rng),
-        doe=doe,
-        sensors=Sensors.hard(seed),
-        recovery=Stanley.of(CAR),
-        actuator=SteeringActuator(delay=0.05),
-    )
-
-
-def learner_that_forecasts(seed: int, rng: np.random.Generator) -> Loop:
-    car = placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.05)
-    answer = {"now": 0.006, "before": 0.005, "earlier": 0.002, "back": 0.2, "slip": 4e-4, "yaw": 0.38}
-    ahead = DelayCompensator(samples=int(rng.integers(0, 9)), trust=0.25, straight=0.02, **answer)
-    nets = tuple(tuple(4.0 * p for p in net) for net in policy(rng).nets or ())  # flatter ones magnify rounding
-    return steering_loop(
-        car=car,
-        path=PAPER,
-        driver=CurveSpeedDriver(path=PAPER, driver=SpeedDriver(seed=seed)),
-        controller=replace(policy(rng), nets=nets, preview_points=PREVIEW, forecast=ahead, continuous=True),
-        doe=Integrator(),
-        sensors=Sensors.hard(seed),
-        recovery=Stanley.of(CAR),
-        actuator=SteeringActuator(delay=0.2),
-    )
+WORN = {
+    "delay": 0.05,
+    "quantum_deg": 0.3,
+    "dead_band_deg": 0.7,
+    "delay_jitter": 0.04,
+    "friction_deg": 0.6,
+    "play_deg": 1.7,
+}
+STANLEY, LATE = Stanley.of(CAR), delayed_stanley(CAR, delay=0.1, lag=0.0, slew=5.0, a_y_limit=3.0)
+ADAPTIVE = Adaptive(
+    blocks=tuple(OffsetFree.around(delayed_stanley(CAR, delay=d, lag=0.1), CAR, delay=d) for d in (0.0, 0.1)),
+    delays=(0.0, 0.1),
+    delay=YawDelay(vehicle=CAR, prior_delay=0.05, prior_lag=0.1, longest=0.2),
+    steering=SingleTrackFilter(vehicle=CAR),
+    prior_delay=0.05,
+)
+_rng = np.random.default_rng(3)
+NETS = tuple(
+    tuple(_rng.uniform(-0.5, 0.5, shape) for shape in ((10, 7), (10,), (10, 10), (10,), (1, 10), (1,)))
+    for _ in range(2)
+)
+ANSWER = {"now": 0.006, "before": 0.005, "earlier": 0.002, "back": 0.2, "slip": 4e-4, "yaw": 0.38}
+FORECASTS = NfqPolicy(
+    nets=tuple(tuple(4.0 * p for p in net) for net in NETS),  # flatter ones magnify rounding
+    preview_points=PREVIEW,
+    forecast=DelayCompensator(samples=5, trust=0.25, straight=0.02, **ANSWER),
+    continuous=True,
+)
+LOOPS: dict[str, tuple[Scenario, dict[str, Any]]] = {
+    "linear": (
+        Scenario.under("hard", course="figure-eight", vehicle={"plant": "linear"}, steering={"gain": 1.1}),
+        {"controller": STANLEY},
+    ),
+    "recorded speed": (
+        Scenario(course="genesis", driver={"speed": "recorded", "v_max": 20.0}),
+        {"controller": STANLEY},
+    ),
+    "gusts": (Scenario(disturbances={"wind": 0.2, "gust": 0.3, "bank_deg": 2.0}), {"controller": STANLEY}),
+    "worn": (Scenario.under("real", steering=WORN), {"controller": STANLEY}),
+    "learner": (
+        Scenario.under("hard", steering={"delay": 0.05}),
+        {"controller": NfqPolicy(nets=NETS), "doe": Integrator(), "recovery": STANLEY},
+    ),
+    "learner that forecasts": (
+        Scenario.under("hard", steering={"delay": 0.2}),
+        {"controller": FORECASTS, "doe": LowPass(), "recovery": STANLEY},
+    ),
+    "torque": (
+        Scenario(steering={"command": "torque", "delay": 0.1, "gain": 1.2, "quantum_deg": 0.6, "play_deg": 1.7}),
+        {"controller": OffsetFree(block=CommandCompensation(block=LATE, offset=0.02, gain=1.1))},
+    ),
+    "adaptive": (Scenario(steering={"lag": 0.1}), {"controller": ADAPTIVE}),
+}
+LONG = ("learner", "learner that forecasts", "torque", "adaptive")
+"""What a compiler optimises for seconds; the others are enough to see that optimised code gives the same."""
 
 
-def worn_steering_and_poor_sensors(seed: int, rng: np.random.Generator) -> Loop:
-    return driven(
-        SpeedDriver(seed=seed),
-        NonlinearSingleTrack,
-        rng,
-        dt=0.01,
-        link=SteeringLink(quantum=rng.uniform(0.001, 0.01), dead_band=0.012, jitter=0.04, seed=seed),
-        actuator=SteeringActuator(delay=0.05),
-        column=SteeringColumn(friction=0.01, play=0.03),
-        sensors=Sensors.real(CAR, seed, 3.0),
-    )
-
-
-def steered_by_torque(seed: int, rng: np.random.Generator) -> Loop:
-    stanley = delayed_stanley(CAR, delay=0.1, lag=0.0, slew=5.0, a_y_limit=3.0)
-    motor = TorqueSteering.of(CAR, delay=0.1, gain=rng.uniform(0.8, 1.2))
-    return steering_loop(
-        car=placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.5),
-        path=PAPER,
-        driver=SpeedDriver(seed=seed),
-        controller=OffsetFree(block=CommandCompensation(block=stanley, offset=0.02, gain=1.1)),
-        link=SteeringLink(quantum=0.01),
-        actuator=motor,
-        column=SteeringColumn(play=0.03),
-    )
-
-
-def one_that_adapts(seed: int, rng: np.random.Generator) -> Loop:
-    delays, prior = (0.0, 0.1), rng.uniform(0.02, 0.08)
-    adaptive = Adaptive(
-        blocks=tuple(OffsetFree.around(delayed_stanley(CAR, delay=d, lag=0.1), CAR, delay=d) for d in delays),
-        delays=delays,
-        delay=YawDelay(vehicle=CAR, prior_delay=prior, prior_lag=0.1, longest=0.2),
-        steering=SingleTrackFilter(vehicle=CAR),
-        prior_delay=prior,
-    )
-    return steering_loop(
-        car=placed(NonlinearSingleTrack(vehicle=CAR, v0=5.0), PAPER, s=rng.uniform(0.0, PAPER.length), e=0.2),
-        path=PAPER,
-        driver=SpeedDriver(seed=seed),
-        controller=adaptive,
-        actuator=SteeringActuator(lag=0.1),
-    )
-
-
-LOOPS: list[Callable[[int, np.random.Generator], Loop]] = [
-    linear_at_constant_speed,
-    linear_with_a_human,
-    nonlinear_with_a_record,
-    nonlinear_with_a_profile,
-    learner_with_recovery,
-    learner_that_forecasts,
-    worn_steering_and_poor_sensors,
-    steered_by_torque,
-    one_that_adapts,
-]
+def loop_of(name: str, seed: int) -> Loop:
+    """Somewhere on its course, as the seed has it."""
+    scenario, parts = LOOPS[name]
+    return assembled(scenario, **parts, seed=seed, s=37.0 * seed)
 
 
 def require_same(log: Log, reference: Log, what: str, bound: float = 1e-12) -> None:
@@ -189,29 +111,22 @@ def require_same(log: Log, reference: Log, what: str, bound: float = 1e-12) -> N
             assert error <= allowed, f"{what}: {name} differs by {error:.2e}, allowed {allowed:.2e}"
 
 
-every_loop = pytest.mark.parametrize("make", LOOPS, ids=lambda make: make.__name__)
-
-
-LONG = (learner_with_recovery, learner_that_forecasts, steered_by_torque, one_that_adapts)
-"""What a compiler optimises for seconds; the others are enough to see that optimised code gives the same."""
-
-
 @pytest.mark.parametrize("backend", ["python", pytest.param("c", marks=needs_compiler)])
-@every_loop
-def test_one_car_and_each_of_a_batch(backend: Any, make: Callable[..., Loop], monkeypatch: pytest.MonkeyPatch) -> None:
-    if make not in LONG:
+@pytest.mark.parametrize("name", LOOPS)
+def test_one_car_and_each_of_a_batch(backend: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if name not in LONG:
         monkeypatch.setenv("CC", optimising())
     for seed in (3, 4) if backend == "python" else (3,):
-        loop = make(seed, np.random.default_rng(seed))
+        loop = loop_of(name, seed)
         compiled = compile(loop, backend=backend)
         for start in (loop.init(), loop.init(batch=CARS)):
             require_same(compiled.run(SECONDS, state=start), simulate(loop, SECONDS, state=start), backend)
 
 
 @needs_compiler
-@pytest.mark.parametrize("make", [linear_with_a_human, learner_with_recovery], ids=lambda make: make.__name__)
-def test_exported_controllers_give_the_recorded_commands(make: Callable[..., Loop], tmp_path: Path) -> None:
-    loop = make(1, np.random.default_rng(1))
+@pytest.mark.parametrize("name", ["linear", "learner"])
+def test_exported_controllers_give_the_recorded_commands(name: str, tmp_path: Path) -> None:
+    loop = loop_of(name, 1)
     blocks = [n for n in loop.names if n not in ("driver", "car", "actuator", "sensors", "path", "seen")]
     export_c(loop, tmp_path, blocks=blocks)
     program = tmp_path / "replay"

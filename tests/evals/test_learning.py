@@ -1,8 +1,6 @@
 """Learning, end to end: both action sets learn on the same code; a car that changes on the way is learned anew."""
 
-from dataclasses import replace
-from typing import Any
-
+from benchmarks.run.changes import exchange
 from steerkit.diagram.simulation import Log
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
@@ -36,23 +34,13 @@ def test_both_learn_a_whole_round_from_nothing_and_the_integrating_element_is_sm
     assert smooth.rms_jerk < rough.rms_jerk
 
 
-def with_delay(run: LearningRun, delay: float) -> None:
-    """From now on commands are that late; those on their way arrive after the oldest of them, which is held."""
-    k = run.loop.names.index("actuator")
-    actuator: Any = run.loop.blocks["actuator"]
-    later: Any = replace(actuator, delay=delay)
-    motor, waiting = run.x[k][: -actuator.waiting], run.x[k][-actuator.waiting :]
-    run.x[k] = (*motor, *[waiting[0]] * (later.waiting - actuator.waiting), *waiting)
-    run.recorder.loop = run.loop = run.loop.with_block("actuator", later)
-
-
 def test_a_car_whose_delay_grows_in_mid_drive_is_found_under_recovery_and_learned_anew() -> None:
     """The learner fails at once (it drives on through a change to 0.4 s); the recovery was told the old delay."""
     scenario = Scenario(course="random-71", steering={"delay": 0.1})
     run = LearningRun(Experiment(scenario=scenario, minutes=3.0, seed=1))
     while run.t < 15.0:
         run.drive()
-    with_delay(run, 0.5)
+    exchange(run, scenario.with_(steering={"delay": 0.5}))
     failures, good = run.counts.failures, 0
     while good < 100 and not run.done():
         run.drive()

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pymap3d
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -181,3 +182,12 @@ def test_random_courses_keep_their_bounds(seed, length, bendy):
     polar = np.unwrap(np.arctan2(*path.samples.xy.T[::-1]))
     assert (np.diff(polar) > 0.0).all()  # star-shaped: never meets itself
     assert path.samples.psi[-1] - path.samples.psi[0] == pytest.approx(2.0 * math.pi, abs=1e-6)
+
+
+def test_gps_positions_become_metres_east_and_north():
+    angle = np.linspace(0.0, 2.0 * math.pi, 400, endpoint=False)
+    east, north = 80.0 * np.sin(angle), 80.0 * (1.0 - np.cos(angle))
+    lat, lon, _ = pymap3d.enu2geodetic(east, north, 0.0, 52.3, 10.5, 0.0)
+    path = Path.from_gps(lat, lon, closed=True, smoothing=0.0)
+    assert path.length == pytest.approx(160.0 * math.pi, abs=1e-3)
+    assert np.abs(np.hypot(path.samples.xy[:, 0], path.samples.xy[:, 1] - 80.0) - 80.0).max() < 1e-3

@@ -41,17 +41,6 @@ def from_there(block, x, inputs):
     return np.concatenate(found), np.array(x).ravel()
 
 
-def traced(block, steps, update_inputs):
-    """Outputs and states of `block` through a CasADi function of one sample; inputs as in `run`."""
-    step = sample(block)
-    values = _settled(block, block.init(), update_inputs[0])
-    ys = []
-    for k in range(steps):
-        values, y = step(casadi.DM(values), casadi.DM(update_inputs[k] or [0.0]))
-        ys.append(np.array(y).ravel())
-    return ys, np.array(values).ravel()
-
-
 @cache
 def sample(block):
     """The next state and the outputs, of a state and inputs, as a CasADi function."""

@@ -4,10 +4,12 @@ import gzip
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from scipy.io import savemat
 
 from steerkit.diagram.simulation import Log
 from steerkit.diagram.units import degrees_of, radians_of
@@ -57,36 +59,20 @@ STEPS = {"delta_sw": radians_of(0.1), "v": 0.01 / 3.6, "r": radians_of(0.005)}
 """Resolution of the CAN signals, in SI."""
 
 
-def _csv(file: Path, columns: Columns) -> None:
+def _saved(file: Path, columns: Columns) -> None:
     _log(columns).save(file)
 
 
 def _csv_gz(file: Path, columns: Columns) -> None:
     plain = file.with_name("plain.csv")
-    _csv(plain, columns)
+    _saved(plain, columns)
     file.write_bytes(gzip.compress(plain.read_bytes(), mtime=0))
     plain.unlink()
-
-
-def _mat(file: Path, columns: Columns) -> None:
-    from scipy.io import savemat
-
-    savemat(file, columns, do_compression=True)
-
-
-def _mat_plain(file: Path, columns: Columns) -> None:
-    from scipy.io import savemat
-
-    savemat(file, columns)
 
 
 def _log(columns: Columns) -> Log:
     units = {"delta_sw": "rad", "v": "m/s", "r": "rad/s"}
     return Log(columns["t"], {name: columns[name] for name in units}, units)
-
-
-def _saved(file: Path, columns: Columns) -> None:
-    _log(columns).save(file)
 
 
 def _parquet(file: Path, columns: Columns) -> None:
@@ -220,10 +206,10 @@ def _frames(bag: Any, columns: Columns) -> None:
 
 
 FORMATS: dict[str, Format] = {
-    "csv": Format(suffix=".csv", write=_csv, exact=True, sums=False),
+    "csv": Format(suffix=".csv", write=_saved, exact=True, sums=False),
     "csv.gz": Format(suffix=".csv.gz", write=_csv_gz, exact=True, sums=True),
-    "mat": Format(suffix=".mat", write=_mat, exact=True, sums=True),
-    "mat, not compressed": Format(suffix=".mat", write=_mat_plain, exact=True, sums=False),
+    "mat": Format(suffix=".mat", write=partial(savemat, do_compression=True), exact=True, sums=True),
+    "mat, not compressed": Format(suffix=".mat", write=savemat, exact=True, sums=False),
     "npz": Format(suffix=".npz", write=_saved, exact=True, sums=True),
     "parquet": Format(suffix=".parquet", write=_parquet, exact=True, sums=True),
     "mf4": Format(suffix=".mf4", write=_mf4(2), exact=True, sums=False),

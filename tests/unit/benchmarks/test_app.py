@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from benchmarks import app as benchmarks_app
 from benchmarks.app import app, main
-from benchmarks.report import parts
 from benchmarks.run import golden
 from benchmarks.run.results import Results
 from benchmarks.suites import SUITES
@@ -118,13 +115,3 @@ def test_golden_numbers_that_moved_end_with_1_unless_they_are_renewed(
     assert (len(told["changed"]), told["updated"]) == (int(factor != 1.0), bool(words))
     kept = golden.kept(tmp_path / "golden.json")[0]["a"]["rms_e"]
     assert kept == (factor if words else 1.0)
-
-
-def test_the_leaderboard_after_a_run_is_that_of_the_report(known: Results, capsys: pytest.CaptureFixture[str]) -> None:
-    benchmarks_app._leaderboard(known)
-    shown = capsys.readouterr().out
-    _, rows = parts.leaderboard([case for case in known.cases if case.suite == "tracking"], benchmarks_app.LEADERBOARD)
-    for row in rows[:3]:
-        assert re.search(r"\W+".join(map(re.escape, (row.controller, *[cell.text for cell in row.cells]))), shown)
-    assert "tracking: medians over the seeds" in shown
-    assert "training" not in shown
