@@ -435,16 +435,19 @@ class Drive(Bench):
         """From the onset to the last frame with enable = 1 [s]."""
         return max((t for t, _, enable in self.sent if enable), default=self.onset) - self.onset
 
+    def before(self) -> float:
+        """How far off the true car was in the last half second before the onset [m]."""
+        return max((abs(e) for t, e, _, _ in self.truth if self.onset - 0.5 <= t <= self.onset), default=0.0)
+
     def excess(self) -> float:
-        """How much further off the true car got than it was at the onset, while the product steered it [m]."""
-        before = max((abs(e) for t, e, _, _ in self.truth if self.onset - 0.5 <= t <= self.onset), default=0.0)
+        """How much further off it got while the product steered it [m]."""
         during = [abs(e) for t, e, _, steered in self.truth if t >= self.onset and steered]
-        return max(during, default=0.0) - before
+        return max(during, default=0.0) - self.before()
 
     def reached(self, off: float) -> float:
-        """When the true car was further off the path by so much than at the onset [s], from then; inf: never."""
-        before = max((abs(e) for t, e, _, _ in self.truth if self.onset - 0.5 <= t <= self.onset), default=0.0)
-        return next((t for t, e, _, _ in self.truth if t > self.onset and abs(e) > before + off), math.inf) - self.onset
+        """When it was further off by so much [s], from the onset; inf: never."""
+        most = self.before() + off
+        return next((t for t, e, _, _ in self.truth if t > self.onset and abs(e) > most), math.inf) - self.onset
 
     def a_y(self) -> float:
         """Largest true lateral acceleration while the product steered [m/s^2]."""
@@ -454,7 +457,8 @@ class Drive(Bench):
         """What was wrong on the bus: enabled frames after the end, too few neutral ones, too fast a wheel."""
         found = []
         ended = self.ended()
-        if any(enable for t, _, enable in self.sent if t > ended + 1e-9) and "ENGAGED" not in self.after(ended):
+        engaged_anew = any(t > ended and mode == "ENGAGED" for t, mode, _ in self.modes)
+        if any(enable for t, _, enable in self.sent if t > ended + 1e-9) and not engaged_anew:
             found.append("enabled frames after the end")
         neutral = [t for t, _, enable in self.sent if t >= ended and not enable]
         if math.isfinite(ended) and len(neutral) < 5:
@@ -464,10 +468,6 @@ class Drive(Bench):
             if b[0] - a[0] < 0.5 and abs(b[1] - a[1]) > 9.6 * min(b[0] - a[0], 0.06) + 2e-3:
                 found.append(f"the wheel was to turn by {b[1] - a[1]:.3f} rad in {b[0] - a[0]:.3f} s")
         return found
-
-    def after(self, t: float) -> list[str]:
-        """Modes entered after t."""
-        return [mode for when, mode, _ in self.modes if when > t]
 
     def complaints(self, harmless: float = 0.25) -> list[str]:
         """What was not as it should be; nothing, if all was.
@@ -491,18 +491,18 @@ class Drive(Bench):
 
 @cache
 def settled(
-    course: str, where: str, speed: float, seed: int, kinematic: bool = False, vehicle: str = "", lead: float = 0.0
+    course: str, where: str, speed: float, kinematic: bool = False, vehicle: str = "", lead: float = 0.0
 ) -> Drive:
     """A drive as far as all attacks there have in common."""
     none = Attack("none", course=course, where=where)
-    return Drive(none, speed, seed, lead=lead, kinematic=kinematic, vehicle=vehicle).settle()
+    return Drive(none, speed, lead=lead, kinematic=kinematic, vehicle=vehicle).settle()
 
 
-def through_port(port: str, attack: Attack, *, speed: float, seed: int = 0) -> Drive:
+def through_port(port: str, attack: Attack, *, speed: float) -> Drive:
     """A drive of a production car under attack, done."""
-    return Drive(attack, speed, seed, port=port).settle().run()
+    return Drive(attack, speed, port=port).settle().run()
 
 
-def driven(attack: Attack, *, speed: float, seed: int = 0) -> Drive:
+def driven(attack: Attack, *, speed: float) -> Drive:
     """A drive under attack, done."""
-    return settled(attack.course, attack.where, speed, seed).under(attack)
+    return settled(attack.course, attack.where, speed).under(attack)

@@ -96,7 +96,7 @@ HARMLESS = 0.5
 
 @cache
 def settled(
-    name: str, course: str, where: str, speed: float, seed: int, kinematic: bool, vehicle: str, lead: float = 0.0
+    name: str, course: str, where: str, speed: float, kinematic: bool, vehicle: str, lead: float = 0.0
 ) -> Drive:
     """A drive with that controller as far as all attacks there have in common.
 
@@ -105,46 +105,31 @@ def settled(
     """
     none, lead = Attack("none", course=course, where=where), lead or (45.0 if name == "pure-pursuit" else 0.0)
     client = ProductClient(name, course, vehicle)
-    return Drive(none, speed, seed, client, centred, lead, kinematic=kinematic, vehicle=vehicle).settle()
+    how: dict[str, Any] = {"client": client, "driver": centred, "lead": lead}
+    return Drive(none, speed, kinematic=kinematic, vehicle=vehicle, **how).settle()
 
 
 def driven_by(
-    name: str,
-    attack: Attack,
-    *,
-    speed: float,
-    seed: int = 0,
-    kinematic: bool = False,
-    vehicle: str = "",
-    lead: float = 0.0,
+    name: str, attack: Attack, *, speed: float, kinematic: bool = False, vehicle: str = "", lead: float = 0.0
 ) -> Drive:
     """A drive with that controller under attack, done."""
     if attack.course == "stadium" and name not in LEARNS:
         attack = replace(attack, course="careful")
-    return settled(name, attack.course, attack.where, speed, seed, kinematic, vehicle, lead).under(attack)
+    return settled(name, attack.course, attack.where, speed, kinematic, vehicle, lead).under(attack)
 
 
 def lied_to(
-    name: str,
-    controller: str,
-    speed: float,
-    *,
-    known: bool,
-    kinematic: bool,
-    seconds: float = 12.0,
-    seed: int = 0,
-    lead: float = 0.0,
-    found: float = 60.0,
+    name: str, controller: str, speed: float, *, known: bool, kinematic: bool, lead: float = 0.0, found: float = 60.0
 ) -> Drive:
-    """A liar's drive, so long from its onset on, steered by the attacker's own law (`own`) or one of the product's.
+    """A liar's drive, steered by the attacker's own law (`own`) or one of the product's.
 
     known: has the car been calibrated? kinematic: does it roll where its wheels point, or is it the data sheet's?
     lead: how far it was driven before the onset, beyond the usual 2.5 s [m]. found: for how long to calibrate it [s].
     """
-    attack, vehicle = replace(LIARS[name], seconds=seconds), calibrated(kinematic, found) if known else ""
+    attack, vehicle = LIARS[name], calibrated(kinematic, found) if known else ""
     if controller == "own":
-        return own(attack.course, attack.where, speed, seed, kinematic, vehicle, lead).under(attack)
-    return driven_by(controller, attack, speed=speed, seed=seed, kinematic=kinematic, vehicle=vehicle, lead=lead)
+        return own(attack.course, attack.where, speed, kinematic, vehicle, lead).under(attack)
+    return driven_by(controller, attack, speed=speed, kinematic=kinematic, vehicle=vehicle, lead=lead)
 
 
 def sooner(drive: Drive, *, known: bool) -> bool:

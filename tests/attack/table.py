@@ -43,13 +43,13 @@ def compared(name: str, controllers: list[str], drive: Callable[..., Drive] = dr
     return f"| {' | '.join(cells)} |{f' **MISSED** {wrong} |' if wrong else ''}"
 
 
-def lies(name: str, controllers: Sequence[str], seed: int, lead: float) -> str:
+def lies(name: str, controllers: Sequence[str]) -> str:
     """One liar, to cars that were calibrated and not: how many drives within 0.5 m, 1 m; the worst; what was said."""
     cells, wrong, unheld = [name], [], 0
     for known in (True, False):
         within, worst, soonest, drives = 0, 0.0, math.inf, 0
         for controller, speed, kinematic in itertools.product(controllers, SPEEDS, (False, True)):
-            drive = lied_to(name, controller, speed, known=known, kinematic=kinematic, seed=seed, lead=lead)
+            drive = lied_to(name, controller, speed, known=known, kinematic=kinematic)
             if not drive.engaged_at_onset():
                 unheld += 1
                 continue
@@ -71,8 +71,6 @@ def main() -> None:
     parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=[], help="the product's own steer")
     parser.add_argument("--ports", nargs="+", default=[], help="production cars, by their names in opendbc")
     parser.add_argument("--liars", action="store_true", help="lies that agree with themselves, at all there is")
-    parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise, of --liars")
-    parser.add_argument("--lead", type=float, default=0.0, help="what --liars find was driven for so far before [m]")
     options = parser.parse_args()
     line = partial(compared, controllers=options.controllers) if options.controllers else row
     names = list(ATTACKS)
@@ -80,7 +78,7 @@ def main() -> None:
         heads = ["calibrated: within 0.5 m", "worst excess [m]", "said: not 0.5 m off before [s]"]
         heads += ["not: within 1 m", *heads[1:], "not engaged", "sooner than said"]
         steering = options.controllers or ("own", *CONTROLLERS)
-        line, names = partial(lies, controllers=steering, seed=options.seed, lead=options.lead), list(LIARS)
+        line, names = partial(lies, controllers=steering), list(LIARS)
     elif options.ports:
         line = partial(compared, controllers=options.ports, drive=through_port)
         names = [name for name in ATTACKS if name not in OF_A_KIT]

@@ -30,12 +30,10 @@ from steerkit.vehicles.rollout import GateLimits, GateModel
 from tests.support.car_world import CONFIG, World
 
 
-def test_controllers_are_told_the_kits_delay_and_lag_and_the_lower_of_two_stops() -> None:
+def test_controllers_are_told_the_kits_delay_lag_and_rate_and_the_lower_of_two_stops() -> None:
     config = replace(CONFIG, delay=0.07, lag=0.31, gate=replace(CONFIG.gate, delta_sw_max=5.0, rate_max=3.0))
-    design_model = loops.design_model_of(config)
-    assert (design_model.delay, design_model.lag) == (0.07, 0.31)
-    assert design_model.rate_limit == 3.0
-    assert design_model.vehicle.delta_sw_max == 5.0
+    told = loops.design_model_of(config)
+    assert (told.delay, told.lag, told.rate_limit, told.vehicle.delta_sw_max) == (0.07, 0.31, 3.0, 5.0)
     car = replace(config.vehicle, delta_sw_max=4.0)
     assert loops.design_model_of(replace(config, vehicle=car)).vehicle.delta_sw_max == 4.0
 

@@ -7,18 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.car.protocol import (
-    ESTIMATES,
-    MAX_PACKET,
-    Estimates,
-    Message,
-    Refused,
-    Remark,
-    Request,
-    Snapshot,
-    decode,
-    encode,
-)
+from steerkit.car.protocol import ESTIMATES, MAX_PACKET, Message, Refused, Remark, Request, Snapshot, decode, encode
 from steerkit.car.state_machine import Mode
 from tests.support.car_messages import messages
 
@@ -69,9 +58,3 @@ STRANGE: list[Any] = [
 def test_what_is_json_and_no_message_is_a_value_error(packet: str) -> None:
     with pytest.raises(ValueError, match=f"of {len(packet)} bytes is not known"):
         decode(packet.encode())
-
-
-def test_estimates_are_named_in_their_order() -> None:
-    named = Estimates((*FOUND,)).named()
-    assert [*named][:4] == ["delay", "delay_deviation", "delay_valid", "lag"]
-    assert [*named.values()] == FOUND
