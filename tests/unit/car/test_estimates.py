@@ -55,6 +55,19 @@ def test_the_truth_is_in_the_intervals(calibration: Made) -> None:
     )
 
 
+def test_a_samples_motion_goes_with_the_next_ones_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The filter takes the wheel a sample late (`held`)."""
+    got: dict[str, dict[str, float]] = {}
+    monkeypatch.setattr(CarEstimators, "_feed", lambda of, name, given: got.update({name: given}))
+    one = Snapshot(t=1.0, v=5.0, r=0.1, psi=0.2, delta_sw=0.3)
+    estimators = CarEstimators(CONFIG)
+    for sample in (one, Snapshot(t=1.05, v=6.0, r=0.5, psi=0.6, delta_sw=0.7)):
+        estimators.sample(sample)
+    motion = {key: got["filter"][key] for key in ("v", "r", "psi", "delta_sw", "delay", "lag")}
+    assert motion == {"v": 5.0, "r": 0.1, "psi": 0.2, "delta_sw": 0.7, "delay": 0.05, "lag": 0.0}
+    assert {got[name]["delta_sw_meas"] for name in ("short lag", "long lag", "friction")} == {0.3}
+
+
 def test_driving_by_hand_shows_the_ratio_but_no_delay(calibration: Made) -> None:
     by_hand = [s._replace(mode=Mode.STANDBY) for s in calibration.world.seen]
     found = fed(by_hand)

@@ -6,7 +6,6 @@ import itertools
 import math
 import os
 import signal
-import time
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any, Self
@@ -30,7 +29,7 @@ class Line:
 
     def __init__(self, modes: list[Mode], lost: bool):
         self.modes, self.lost, self.refused = modes, lost, list[str]()
-        self.beats, self.orders = 0, list[Order]()
+        self.beats, self.rings, self.orders = 0, 0, list[Order]()
 
     def __enter__(self) -> Self:
         return self
@@ -44,71 +43,33 @@ class Line:
     def order(self, order: Order) -> None:
         self.orders.append(order)
 
+    def ring(self) -> None:
+        self.rings += 1
+
     def query(self) -> Snapshot:
         if len(self.modes) == 1 and self.lost:
             raise CarLost("the car server has ended")
         return Snapshot(t=0.0, mode=self.modes.pop(0) if len(self.modes) > 1 else self.modes[0], text=self.text)
 
 
-def shown(
-    monkeypatch: pytest.MonkeyPatch, *modes: Mode, lost: bool = False, simulated: bool = True
-) -> tuple[Line, int]:
-    """A panel over these states; its line, and how often it rang."""
-    line, rings = Line(list(modes), lost), list[int]()
-    monkeypatch.setattr(panel, "CarClient", lambda *words, **more: line)
-    monkeypatch.setattr(panel, "ring", lambda: rings.append(1))
-    options = SimpleNamespace(simulated=simulated, time_scale=100.0)
-    session: Any = SimpleNamespace(socket="", options=options, live=False, ending=False, timing=None, signals=[])
-    end = time.monotonic() + 60.0
-    try:
-        with Panel(session, "a drive"):
-            while not session.ending and (len(line.modes) > 1 or lost):
-                assert time.monotonic() < end
-                time.sleep(0.001)
-    except CarLost:
-        assert lost
-    assert session.ending
-    assert line.orders[-1] is Order.DISENGAGE
-    return line, len(rings)
-
-
-@pytest.mark.parametrize("says", ["not recorded: the disk is full", "recording: the disk is full"])
-def test_a_recording_that_is_lost_is_told_without_a_live_panel_once(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], says: str
-) -> None:
-    monkeypatch.setattr(Line, "text", f"why\nspeed 9 m/s\n{says}", raising=False)
-    shown(monkeypatch, Mode.READY, Mode.STANDBY, Mode.STANDBY, Mode.READY)
-    assert capsys.readouterr().err.splitlines() == [says]
-
-
-@pytest.mark.parametrize("after", [Mode.STANDBY, Mode.READY, Mode.OVERRIDE, Mode.FAULT, Mode.OFF])
-def test_it_rings_at_every_takeover_and_else_not(monkeypatch: pytest.MonkeyPatch, after: Mode) -> None:
-    assert shown(monkeypatch, Mode.OFF, Mode.STANDBY, Mode.READY, Mode.ENGAGED, Mode.ENGAGED, after, after)[1] == 1
-    assert shown(monkeypatch, Mode.READY, after, after)[1] == 0
-
-
-def test_it_rings_when_the_car_server_is_lost_while_it_steers(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert shown(monkeypatch, Mode.READY, Mode.ENGAGED, Mode.ENGAGED, lost=True)[1] == 1
-    assert shown(monkeypatch, Mode.READY, Mode.STANDBY, Mode.STANDBY, lost=True)[1] == 0
-
-
-@pytest.mark.parametrize("simulated", [False, True])
-def test_without_a_keyboard_a_real_car_hears_no_heartbeat(monkeypatch: pytest.MonkeyPatch, simulated: bool) -> None:
-    monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: False))
-    line, _ = shown(monkeypatch, *[Mode.STANDBY] * 5, simulated=simulated)
-    assert (line.beats > 0) is simulated
-
-
 def pressed(
-    monkeypatch: pytest.MonkeyPatch, mode: Mode, keys: list[str], *signals: str, seconds: float = 5.0, **system: Any
+    monkeypatch: pytest.MonkeyPatch,
+    modes: list[Mode],
+    keys: list[str],
+    *signals: str,
+    lost: bool = False,
+    simulated: bool = False,
+    keyboard: bool = True,
+    seconds: float = 5.0,
+    **system: Any,
 ) -> tuple[Line, Any]:
-    """A panel at a keyboard, in that state of the car; what it ordered in between, with so long between two keys."""
-    line, coming, clock = Line([mode], False), iter(["", *keys]), itertools.count(0.0, seconds)
+    """A panel over these states of the car; what it ordered in between, with so long between two keys."""
+    line, coming, clock = Line(modes, lost), iter(["", *keys]), itertools.count(0.0, seconds)
     session: Any = SimpleNamespace(socket="", live=False, ending=False, timing=None, signals=[])
-    session.options = SimpleNamespace(simulated=False, time_scale=1.0)
+    session.options = SimpleNamespace(simulated=simulated, time_scale=1.0)
 
     @contextlib.contextmanager
-    def keyboard() -> Iterator[Any]:
+    def typed() -> Iterator[Any]:
         def read(seconds: float) -> str | None:
             key = next(coming, None)
             session.signals += signals if key == "" and line.beats else []
@@ -117,19 +78,48 @@ def pressed(
         yield read
 
     monkeypatch.setattr(panel, "CarClient", lambda *words, **more: line)
-    monkeypatch.setattr(panel, "_keys", keyboard)
-    monkeypatch.setattr(panel, "ring", lambda: None)
+    monkeypatch.setattr(panel, "_keys", typed)
+    monkeypatch.setattr(panel, "ring", line.ring)
     monkeypatch.setattr(panel, "time", SimpleNamespace(monotonic=lambda: next(clock)))
-    monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: True, fileno=lambda: 0))
+    monkeypatch.setattr(panel.sys, "stdin", SimpleNamespace(isatty=lambda: keyboard, fileno=lambda: 0))
     monkeypatch.setattr(panel.os, "ttyname", lambda fd: "/dev/pts/3")
     for name, answer in ({"tcgetpgrp": lambda fd: os.getpgrp()} | system).items():
         monkeypatch.setattr(panel.os, name, answer)
-    with Panel(session, "a drive") as shown:
+    with pytest.raises(CarLost) if lost else contextlib.nullcontext(), Panel(session, "a drive") as shown:
         shown._thread.join(60.0)
     assert session.ending
     assert (line.orders[0], line.orders[-1]) == (Order.ARM, Order.DISENGAGE)
     line.orders[:] = line.orders[1:-1]
     return line, shown
+
+
+@pytest.mark.parametrize("says", ["not recorded: the disk is full", "recording: the disk is full"])
+def test_a_recording_that_is_lost_is_told_without_a_live_panel_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], says: str
+) -> None:
+    monkeypatch.setattr(Line, "text", f"why\nspeed 9 m/s\n{says}", raising=False)
+    pressed(monkeypatch, [Mode.READY, Mode.STANDBY, Mode.STANDBY, Mode.READY], [""] * 4)
+    assert capsys.readouterr().err.splitlines() == [says]
+
+
+@pytest.mark.parametrize("after", [Mode.STANDBY, Mode.READY, Mode.OVERRIDE, Mode.FAULT, Mode.OFF])
+def test_it_rings_at_every_takeover_and_else_not(monkeypatch: pytest.MonkeyPatch, after: Mode) -> None:
+    modes = [Mode.OFF, Mode.STANDBY, Mode.READY, Mode.ENGAGED, Mode.ENGAGED, after, after]
+    assert pressed(monkeypatch, modes, [""] * 7)[0].rings == 1
+    assert pressed(monkeypatch, [Mode.READY, after, after], [""] * 3)[0].rings == 0
+
+
+@pytest.mark.parametrize(("mode", "rings"), [(Mode.ENGAGED, 1), (Mode.STANDBY, 0)])
+def test_it_rings_when_the_car_server_is_lost_while_it_steers(
+    monkeypatch: pytest.MonkeyPatch, mode: Mode, rings: int
+) -> None:
+    assert pressed(monkeypatch, [Mode.READY, mode, mode], [""] * 4, lost=True)[0].rings == rings
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_without_a_keyboard_a_real_car_hears_no_heartbeat(monkeypatch: pytest.MonkeyPatch, simulated: bool) -> None:
+    line, _ = pressed(monkeypatch, [Mode.STANDBY], [""] * 4, simulated=simulated, keyboard=False)
+    assert (line.beats > 0) is simulated
 
 
 LETS_GO = dict.fromkeys(("e", "a", "g", "r", " ", "q", "x", "E", "\x1a", "\x1b", "\n", "\ufffd"), Order.DISENGAGE)
@@ -141,22 +131,22 @@ def test_every_key_lets_go_while_engaged_and_else_those_of_the_list_do_what_they
 ) -> None:
     listed = {"e": Order.ENGAGE, "a": Order.ACKNOWLEDGE, "r": Order.ARM}
     expected = LETS_GO | {"o": Order.OFF} | ({} if mode is Mode.ENGAGED else listed)
-    assert {key: pressed(monkeypatch, mode, [key])[0].orders for key in expected} == {
+    assert {key: pressed(monkeypatch, [mode], [key])[0].orders for key in expected} == {
         key: [order] for key, order in expected.items()
     }
 
 
 @pytest.mark.parametrize(("seconds", "orders"), [(0.3, 1), (2.0, 3)])
 def test_a_key_that_is_held_down_engages_once(monkeypatch: pytest.MonkeyPatch, seconds: float, orders: int) -> None:
-    line, _ = pressed(monkeypatch, Mode.READY, ["e"] * 3, seconds=seconds)
+    line, _ = pressed(monkeypatch, [Mode.READY], ["e"] * 3, seconds=seconds)
     assert line.orders == [Order.ENGAGE] * orders
-    assert pressed(monkeypatch, Mode.ENGAGED, ["e"] * 3, seconds=seconds)[0].orders == [Order.DISENGAGE] * 3
+    assert pressed(monkeypatch, [Mode.ENGAGED], ["e"] * 3, seconds=seconds)[0].orders == [Order.DISENGAGE] * 3
 
 
 @pytest.mark.parametrize("mode", [Mode.ENGAGED, Mode.READY])
 def test_a_panel_that_was_to_pause_or_did_lets_go(monkeypatch: pytest.MonkeyPatch, mode: Mode) -> None:
     """It may have been engaged since it was READY."""
-    assert pressed(monkeypatch, mode, [""], "SIGCONT")[0].orders == [Order.DISENGAGE]
+    assert pressed(monkeypatch, [mode], [""], "SIGCONT")[0].orders == [Order.DISENGAGE]
 
 
 @pytest.mark.parametrize("keyboard", [True, False])
@@ -179,10 +169,10 @@ def test_a_drive_at_a_keyboard_hears_signals_to_pause_and_ends_in_order_with_its
 
 
 def test_a_panel_in_the_background_or_of_a_parent_that_is_gone_lets_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    behind, _ = pressed(monkeypatch, Mode.ENGAGED, ["", ""], tcgetpgrp=lambda fd: -1)
+    behind, _ = pressed(monkeypatch, [Mode.ENGAGED], ["", ""], tcgetpgrp=lambda fd: -1)
     assert (behind.beats, behind.orders) == (0, [Order.DISENGAGE] * 2)
     parents = iter([7, 7, 7, 1])
-    orphan, _ = pressed(monkeypatch, Mode.ENGAGED, [""] * 9, getppid=lambda: next(parents))
+    orphan, _ = pressed(monkeypatch, [Mode.ENGAGED], [""] * 9, getppid=lambda: next(parents))
     assert (orphan.beats, orphan.orders) == (2, []), "it ended, and its last order is to let go"
 
 
@@ -191,14 +181,14 @@ def no_terminal(fd: int) -> int:
 
 
 def test_a_terminal_that_controls_nothing_is_in_front(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert pressed(monkeypatch, Mode.READY, [""], tcgetpgrp=no_terminal)[0].beats == 2
-    line, here = pressed(monkeypatch, Mode.READY, [""], ttyname=no_terminal)
+    assert pressed(monkeypatch, [Mode.READY], [""], tcgetpgrp=no_terminal)[0].beats == 2
+    line, here = pressed(monkeypatch, [Mode.READY], [""], ttyname=no_terminal)
     assert (line.beats, here.name) == (2, f"a drive, process {os.getpid()}")
-    assert pressed(monkeypatch, Mode.READY, [])[1].name == f"a drive, process {os.getpid()} on /dev/pts/3"
+    assert pressed(monkeypatch, [Mode.READY], [])[1].name == f"a drive, process {os.getpid()} on /dev/pts/3"
 
 
 def test_the_picture_names_the_panel_that_engaged_and_the_way_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, here = pressed(monkeypatch, Mode.READY, [])
+    _, here = pressed(monkeypatch, [Mode.READY], [])
     here.session.__dict__.update(asked=None, adapted=None, filtered=None, learner_steers=None)
     here.session.watched = SimpleNamespace(rows=list)
     for holder, named in ((here.name, "(this panel)"), ("[/b] other", "[/b] other"), ("", "")):

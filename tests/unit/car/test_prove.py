@@ -346,7 +346,7 @@ def test_the_key_to_consent_orders_nothing_and_every_other_one_lets_go(monkeypat
     came: list[str] = []
     made = partialmethod(panel.Panel.__init__, own={"g": lambda: came.append("g")})
     monkeypatch.setattr(panel.Panel, "__init__", made)
-    assert pressed(monkeypatch, Mode.ENGAGED, ["g", "x", "g"])[0].orders == [Order.DISENGAGE]
+    assert pressed(monkeypatch, [Mode.ENGAGED], ["g", "x", "g"])[0].orders == [Order.DISENGAGE]
     assert came == ["g", "g"]
 
 

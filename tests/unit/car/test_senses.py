@@ -172,6 +172,19 @@ def test_e_is_that_of_the_front_axle() -> None:
     assert bench.senses.psi_e == pytest.approx(psi, abs=1e-3)
 
 
+def test_a_frame_of_another_kind_with_the_number_of_a_report_is_none_nor_is_what_cannot_be_read() -> None:
+    bench = Bench()
+    bench.send("STEERING_REPORT", 1.0, delta_sw=0.1)
+    data = bench.encoders["STEERING_REPORT"].write(POSE | REPORT | {"delta_sw": 0.2})
+    for kind in ("x", "fd"):
+        bench.senses.frame(1.02, 1.02, 0x65, data, (), kind)
+    assert not bench.senses.errors
+    bench.senses.frame(1.03, 1.03, -1, b"T0", (), "bad")
+    assert "no frame" in bench.senses.errors[-1][1]
+    assert bench.senses.values["delta_sw"] == pytest.approx(0.1, abs=1e-3)
+    assert bench.senses.age(1.05, config().report_frames) == pytest.approx(0.05)
+
+
 @pytest.mark.parametrize(("last", "foreign"), [(1.5, "78 times a second, expected 50"), (1.5001, "")])
 def test_too_many_reports_have_a_second_sender(last: float, foreign: str) -> None:
     """Within 0.5 s, 1.4 times as many as expected and three more are still one sender's."""
