@@ -18,6 +18,7 @@ UNIT = ROOT / "tests" / "unit"
 PROGRAMS = ("benchmarks.studies.", "benchmarks.__main__", "steerkit.__main__", "steerkit.cli.")
 """Run as programs by tests (test_studies.py, test_commands.py)."""
 BEHIND = {
+    "steerkit._support.console": "unit/cli/test_app.py",
     "steerkit.compiled.python_code": "unit/compiled/test_compiled.py",
     "steerkit.logs.tables": "unit/logs/test_reading.py",
     "steerkit.paths.waypoints": "unit/paths/test_path.py",

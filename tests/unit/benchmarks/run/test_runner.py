@@ -23,7 +23,7 @@ from tests.support.tiny_suite import TINY, same
 
 @pytest.fixture(autouse=True)
 def forks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers begin as forks: what they import takes longer than what they do. Others: tests/evals/test_cluster.py."""
+    """Workers begin as forks: what they import takes longer than what they do."""
     programs.forking(monkeypatch.setattr)
 
 

@@ -1,20 +1,21 @@
-"""Work that is spread: each piece once, whoever dies; no later than told; what does not go together is refused.
-
-Clusters of real processes are in tests/evals/test_cluster.py.
-"""
+"""Work that is spread: each piece once, whoever dies; no later than told; what does not go together is refused."""
 
 import argparse
 import math
 import re
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from benchmarks.run import spread
+from benchmarks.run.results import Results
+from benchmarks.run.runner import run
 from benchmarks.run.sources import identity, source, versions
 from benchmarks.run.spread import Where, Workers, _objection, computing, dask_client
+from tests.support.tiny_suite import TINY, same
 
 
 def twice(piece: int) -> int:
@@ -28,22 +29,6 @@ def test_results_come_in_the_order_of_the_pieces_and_each_is_said(
     monkeypatch.setattr(Workers, "done", lambda *_, **__: iter(finished))
     assert Workers().in_order(twice, [5, 7], "drives") == [{"e": 0.5}, {"e": 0.25}]
     assert capsys.readouterr().err == "drives 1 of 2: e 0.25\ndrives 2 of 2: e 0.5\n"
-
-
-def test_no_more_processes_than_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    import joblib
-
-    asked: list[int] = []
-    whole = joblib.Parallel
-
-    def parallel(n_jobs: int, **how: Any) -> Any:
-        asked.append(n_jobs)
-        return whole(n_jobs=1, **how)
-
-    monkeypatch.setattr(joblib, "Parallel", parallel)
-    for pieces in ([5], [5, 7], [5, 7, 9]):
-        assert len(list(Workers(2).done(twice, pieces))) == len(pieces)
-    assert asked == [1, 2, 2]
 
 
 def test_workers_that_die_now_and_then_cost_nothing_as_long_as_pieces_finish(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,6 +90,12 @@ def test_every_piece_is_done_once_with_its_number_and_an_error_of_one_ends_it(cl
     assert Workers(client=client).count == 2
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
         dict(Workers(client=client).done(math.sqrt, [-1.0]))
+
+
+def test_a_run_on_a_cluster_has_the_numbers_of_this_machine(client: Any, reference: Results, tmp_path: Path) -> None:
+    """Who asked writes what workers hand back."""
+    address = client.scheduler.address
+    same(run([TINY], tmp_path / "there", backend="dask", address=address, quiet=True), reference)
 
 
 def test_a_worker_that_comes_later_with_other_sources_is_refused(client: Any) -> None:
