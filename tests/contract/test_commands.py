@@ -149,6 +149,11 @@ WRITTEN_BY = {"yard-smooth.csv": ("courses.md", "yard"), "yard.xodr": ("courses.
 """Files that Python blocks of a page write: the page under docs, and a word that only those blocks have."""
 
 
+def python_of(page: str, word: str) -> list[str]:
+    """The Python blocks of a page under docs that have this word."""
+    return [code for language, code in blocks(ROOT / "docs" / page) if language == "python" and word in code]
+
+
 def make(name: str, folder: Path, learned: Path) -> None:
     """Make a file that a line needs."""
     if name in ("runs/default-paper-clean-seed3", "runs/mine", "runs/car", "my-run"):
@@ -160,16 +165,13 @@ def make(name: str, folder: Path, learned: Path) -> None:
 
         shutil.copy(Path(real_car.__path__[0]) / "kits" / "dbw-kit.toml", folder / name)
     elif name == "my_controller.py":  # "save this as my_controller.py"
-        codes = [text for language, text in blocks(ROOT / "docs" / "tutorial.md") if language == "python"]
-        code = next(code for code in codes if "A controller of my own" in code)
+        (code,) = python_of("tutorial.md", "A controller of my own")
         (folder / name).write_text(code.replace('"paper"', '"circle"'), encoding="utf-8")  # a quarter as long
     elif name == "my_doe.py":  # "save the imports and the class as my_doe.py"
-        codes = [text for language, text in blocks(ROOT / "docs" / "howto" / "doe.md") if language == "python"]
-        code = next(code for code in codes if "class GearedIntegrator" in code)
+        (code,) = python_of("howto/doe.md", "class GearedIntegrator")
         (folder / name).write_text(code.partition("\ndoe = ")[0], encoding="utf-8")
     elif name in WRITTEN_BY:
-        page, word = WRITTEN_BY[name]
-        codes = [code for language, code in blocks(ROOT / "docs" / page) if language == "python" and word in code]
+        codes = python_of(*WRITTEN_BY[name])
         environment = {**os.environ, "MPLBACKEND": "agg"}
         programs.python("-c", "\n".join(codes), folder=folder, environment=environment).check_returncode()
     elif name in ("examples", "can.log.gz"):

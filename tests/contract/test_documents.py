@@ -3,9 +3,8 @@ that they name is there. Their shell lines: test_commands.py."""
 
 import ast
 import codeop
-import functools
-import importlib
 import importlib.util
+import pkgutil
 import re
 import runpy
 import tomllib
@@ -137,14 +136,10 @@ def test_files_and_names_of_the_package_that_are_named_are_there(page: Path) -> 
 
 def found_in_the_package(dotted: str) -> bool:
     """Is it a module, or a name in one?"""
-    parts = dotted.split(".")
-    for n in range(len(parts), 0, -1):
-        try:
-            owner: Any = importlib.import_module(".".join(parts[:n]))
-        except ModuleNotFoundError:
-            continue
-        return functools.reduce(lambda thing, name: getattr(thing, name, None), parts[n:], owner) is not None
-    return False
+    try:
+        return pkgutil.resolve_name(dotted) is not None
+    except (ImportError, AttributeError):
+        return False
 
 
 def tool(name: str) -> Any:

@@ -13,11 +13,10 @@ from steerkit.controllers.mpc.block import MPC, NonlinearMPC, PredictiveSteering
 from steerkit.controllers.mpc.path_model import NX
 from steerkit.diagram import maths as m
 from steerkit.plants.single_track import LinearSingleTrack, NonlinearSingleTrack
-from tests.support.predictive import ahead, steady, table
+from tests.support.predictive import KINDS, ahead, steady, table
 from tests.support.straight_road import PASSAT
 
 LINEAR, NONLINEAR = LinearSingleTrack(vehicle=PASSAT, v0=5.0), NonlinearSingleTrack(vehicle=PASSAT, v0=5.0)
-KINDS = (MPC, NonlinearMPC)
 ZEROS = dict.fromkeys(("e", "psi_e", "beta", "r", "delta_sw_meas"), 0.0)
 
 

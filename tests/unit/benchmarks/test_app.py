@@ -63,12 +63,9 @@ def test_mistakes_are_one_line(words, message, tmp_path, monkeypatch, capsys) ->
 def test_the_same_commands_under_steerkit_bench() -> None:
     from steerkit.cli import app as cli
 
-    listed = CliRunner().invoke(cli.app, ["bench", "list"])
-    assert listed.exit_code == 0
-    assert "learning-curve" in listed.output
+    assert "learning-curve" in CliRunner().invoke(cli.app, ["bench", "list"]).output
     mine: Any = typer.main.get_command(app)
     assert mine.commands.keys() == cli.loaded("bench").commands.keys()
-    assert {"run", "report", "verdict", "compare", "golden", "study", "list"} <= mine.commands.keys()
 
 
 @pytest.mark.parametrize(
