@@ -81,7 +81,7 @@ def atomic_write(file: File, *, durable: bool = True) -> Iterator[FilePath]:
     folder is missing, and what the block raises, with a note that `file` is as it was.
     """
     target = FilePath(os.path.realpath(file))
-    require(_is_file_or_nothing(target), f"{file}", "is a folder or a device, expected a file's name")
+    require(not target.exists() or target.is_file(), f"{file}", "is a folder or a device, expected a file's name")
     if not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(target.parent))
     draft = target.with_name(f".{target.name}.{os.getpid()}-{threading.get_ident()}.tmp")
@@ -97,14 +97,6 @@ def atomic_write(file: File, *, durable: bool = True) -> Iterator[FilePath]:
         raise
     finally:
         draft.unlink(missing_ok=True)
-
-
-def _is_file_or_nothing(target: FilePath) -> bool:
-    """Asked once: between two questions another thread may have made the file."""
-    try:
-        return stat.S_ISREG(target.stat().st_mode)
-    except (FileNotFoundError, NotADirectoryError):
-        return True
 
 
 def write_text(file: File, text: str, *, durable: bool = True) -> None:

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
-from rich.progress import Progress
 
 from steerkit._support.console import console
 from steerkit._support.errors import require
@@ -67,19 +66,14 @@ def learn(
         Path | None, shared.in_simulation("TOML file with an experiment; options given besides change it.")
     ] = None,
     live: Annotated[
-        bool,
-        shared.in_simulation("Write learning curves into the run directory while it learns: tensorboard --logdir RUN."),
+        bool, shared.in_simulation("Write learning curves while it learns: tensorboard --logdir RUN.")
     ] = False,
     stream: shared.Stream = "",
     source: Annotated[
-        list[str] | None,
-        shared.from_a_log(
-            "A recorded drive, of a human or a controller: what `steerkit log` reads; repeatable.", "--from"
-        ),
+        list[str] | None, shared.from_a_log("A recorded drive: what `steerkit log` reads; repeatable.", "--from")
     ] = None,
     delay: Annotated[
-        float | None,
-        shared.from_a_log("Of a recorded wheel: the steering's delay from its command (s), which the log cannot show."),
+        float | None, shared.from_a_log("Of a recorded wheel: the steering's delay (s), which the log cannot show.")
     ] = None,
     lag: Annotated[float, shared.from_a_log("Of a recorded wheel: the steering's lag behind its command (s).")] = 0.0,
     updates: Annotated[int, shared.from_a_log("Updates of the Q-function.")] = UPDATES,
@@ -98,24 +92,16 @@ def learn(
         _from_log(ctx, options)
         return
     if options.car:
-        place = out or loops.LEARNED
-        chosen = changed(named(setting), changes or ())
-        figures = car_session.learn(
-            shared.car_options(options, options.car),
-            chosen,
-            place,
-            minutes=_minutes(minutes, None) or 0.0,
-            seed=options.seed,
-        )
+        chosen, on_a_car = changed(named(setting), changes or ()), shared.car_options(options, options.car)
+        lasts = _minutes(minutes, None) or 0.0
+        figures = car_session.learn(on_a_car, chosen, out or loops.LEARNED, minutes=lasts, seed=options.seed)
         if options.as_json:
             print(json.dumps(figures))
         return
     experiment = _experiment(ctx, config, out)
     name = "-".join((experiment.setting.name, *(changes or ())))
-    place = (
-        out
-        or Path("runs") / f"{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{experiment.seed}"
-    )
+    where = shared.driven_on(experiment.scenario, options.conditions)
+    place = out or Path("runs") / f"{name}-{where}-seed{experiment.seed}"
     console.stderr = options.as_json
     signals = (*SIGNALS, *SAFETY_SIGNALS * experiment.setting.safe)
     with shared.streamed(stream, signals=signals) as each:
@@ -160,17 +146,8 @@ def _from_log(ctx: typer.Context, options: shared.DriveOptions) -> None:
     name = Path(p["source"][0]).name.partition(".")[0]
     default = f"from-{name}-{shared.driven_on(experiment.scenario, options.conditions)}-seed{options.seed}"
     place = Path(p["out"] or Path("runs") / default)
-    with Progress(console=console, disable=options.quiet or not console.is_terminal) as bar:
-        task = bar.add_task("updates", total=p["updates"])
-        run = from_log(
-            drive,
-            experiment,
-            place,
-            delay=delay or 0.0,
-            lag=lag,
-            updates=p["updates"],
-            watch=lambda n: bar.update(task, completed=n),
-        )
+    how: dict[str, Any] = {"delay": delay or 0.0, "lag": lag, "updates": p["updates"]}
+    run = from_log(drive, experiment, place, progress=not options.quiet, **how)
     assert run.source is not None
     if not options.quiet:
         shown = Excitation(**{f.name: run.source[f.name] for f in fields(Excitation)})
@@ -284,7 +261,7 @@ def demo(
         )
     out.mkdir(parents=True, exist_ok=True)
     began = None if quiet else time.time()
-    jobs = [(name, experiment, out / _slug(name), seed, began) for name, experiment in EXPERIMENTS.items()]
+    jobs = [(name, replace(each, seed=seed), out / _slug(name), began) for name, each in EXPERIMENTS.items()]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         drives = dict(zip(EXPERIMENTS, pool.map(_part, jobs)))
     show_several([out / _slug(name) for name in EXPERIMENTS])
@@ -312,24 +289,23 @@ def demo(
         console.print(f"pictures: {', '.join(pictures)} in {out}", soft_wrap=True)
 
 
-def _part(job: tuple[str, Experiment, FilePath, int, float | None]) -> dict[str, Log]:
+def _part(job: tuple[str, Experiment, FilePath, float | None]) -> dict[str, Log]:
     """Learn, as far as that is not done; the drives that the final policy and Stanley make."""
-    name, experiment, place, seed, began = job
+    name, experiment, place, began = job
 
     def say(line: str) -> None:
         if began is not None:
             said = f"[dim]{time.time() - began:4.0f} s[/]  [bold]{escape(name)}[/]: {escape(line)}"
             console.print(said, soft_wrap=True, highlight=False)
 
-    experiment = replace(experiment, seed=seed)
     say("begins to learn")
     run = learned_in(experiment, place, watch=in_lines(say))
     counts = run.counts
     say(f"has learned: rounds {counts.rounds}, failures {counts.failures}; drives a round, and Stanley beside it")
     scenario = experiment.scenario
     doe = experiment.setting.element(scenario.nominal)
-    learned = evaluate.drive(scenario, rundir.final_policy(place), doe=doe, seed=seed)
-    stanley = evaluate.drive(scenario, scenario.recovery_controller(alone=True), seed=seed)
+    learned = evaluate.drive(scenario, rundir.final_policy(place), doe=doe, seed=experiment.seed)
+    stanley = evaluate.drive(scenario, scenario.recovery_controller(alone=True), seed=experiment.seed)
     return {who: Log(g.t, g.signals, g.units) for who, g in (("learned", learned), ("Stanley", stanley))}
 
 

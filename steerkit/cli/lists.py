@@ -44,10 +44,8 @@ def courses(
     if file:
         _of_file(file, to, plot, vehicle, as_json)
         return
-    if to is not None or plot is not None:
-        raise ValueError(
-            "--to and --plot make something of a map's file; name it: steerkit courses lap.gpx --to lap.csv"
-        )
+    cure = "make something of a map's file; name it: steerkit courses lap.gpx --to lap.csv"
+    require(to is None and plot is None, "--to, --plot", cure)
     rows = [_of_path(name, course(name)) for name in names()]
     if as_json:
         print(json.dumps({"courses": rows, "also": ALSO}))
@@ -150,8 +148,7 @@ def vehicles(
                 "slowest_mps": member and member.slowest,
             }
         )
-    if not rows:
-        raise ValueError(f"vehicles: no name has '{having}' in it; without it all are listed")
+    require(rows, "vehicles", f"no name has '{having}' in it; without it all are listed")
     if as_json:
         print(json.dumps({"vehicles": rows}))
         return

@@ -3,7 +3,7 @@
 import json
 import math
 import shlex
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,6 +34,12 @@ SteerRatio = Annotated[
 ]
 
 
+Row = dict[str, Any]
+"""One channel in numbers: name, unit, samples, rate by the usual step [Hz], begin and end in the file's time [s], gaps
+(steps of more than five usual ones, and 0.25 s), the longest step [s], low, high, samples that are invalid, and the
+quantity that a drive takes it for; empty: none. In brackets: it could, another one is better. NaN: not known."""
+
+
 def log(
     files: Annotated[list[str], typer.Argument(help="Files of one drive, on one clock; or the folder of a ROS 2 bag.")],
     columns: Map = None,
@@ -52,18 +58,29 @@ def log(
     given = column_map(columns, column)
     console = Console(stderr=as_json, quiet=quiet and not as_json)
     console = console if console.is_terminal else Console(stderr=as_json, width=130, quiet=quiet)
-    found = contents(read_log(files, dbc=dbc or (), time=given.columns.get("t")), given, steer_ratio=steer_ratio)
+    read = read_log(files, dbc=dbc or (), time=given.columns.get("t"))
+    rows, drive, trouble = contents(read, given, steer_ratio=steer_ratio)
+    notes = drive.notes if drive else read.notes
     more = [word for one in dbc or () for word in ("--dbc", one)] + (["--map", str(columns)] if columns else [])
     more += [word for one in column or () for word in ("--column", one)]
     more += ["--steer-ratio", f"{steer_ratio:g}"] if steer_ratio else []
-    _report(console, found, shlex.join([*files, *more]))
+    console.print(_table(read.name, rows))
+    for note in notes:
+        console.print(escape(note), soft_wrap=True, highlight=False)
+    if drive is None:
+        console.print(f"no drive in it: {escape(trouble)}", soft_wrap=True, highlight=False)
+    else:
+        console.print(f"a drive of {drive.t[-1]:.1f} s at {1.0 / drive.dt:.0f} Hz", highlight=False)
+    if drive and drive.turns:
+        said = escape(shlex.join([*files, *more]))
+        console.print(f"next: steerkit identify {said} --out my-car.toml", soft_wrap=True, highlight=False)
     if plot is not None:
-        picture(found).savefig(plot)
+        picture(read, rows).savefig(plot)
         console.print(f"picture: {plot}", soft_wrap=True)
     if as_json:
-        rows = [{k: v if v == v else None for k, v in row.items()} for row in found.rows]
-        answer = {"channels": rows, "notes": list(found.notes), "trouble": found.trouble}
-        print(json.dumps(answer | {"seconds": float(found.drive.t[-1]) if found.drive else None}))
+        channels = [{k: v if v == v else None for k, v in row.items()} for row in rows]
+        answer = {"channels": channels, "notes": list(notes), "trouble": trouble}
+        print(json.dumps(answer | {"seconds": float(drive.t[-1]) if drive else None}))
 
 
 def column_map(file: Path | None, words: list[str] | None) -> ColumnMap:
@@ -72,25 +89,16 @@ def column_map(file: Path | None, words: list[str] | None) -> ColumnMap:
     return ColumnMap({**table, **ColumnMap.parsed(words or ()).columns})
 
 
-def _report(console: Any, found: Any, said: str) -> None:
+def _table(title: str, rows: Sequence[Row]) -> Table:
     columns = ("unit", "samples", "rate", "from", "to", "gaps", "range", "read as")
-    table = Table(Column("channel", overflow="fold"), *columns, title=found.log.name)
-    for row in found.rows:
+    table = Table(Column("channel", overflow="fold"), *columns, title=title)
+    for row in rows:
         gaps = "{gaps}, {longest:.3g} s" if row["gaps"] else "none"
         spoilt = ", {invalid} no number" if row["invalid"] else ""
         texts = ("{samples}", "{rate:.4g} Hz", "{begin:.10g}", "{end:.10g}", gaps, "{low:.4g} to {high:.4g}" + spoilt)
         numbers = [text.format(**row) for text in texts]
         table.add_row(escape(row["name"]), escape(row["unit"] or "?"), *numbers, row["quantity"])
-    console.print(table)
-    for note in found.notes:
-        console.print(escape(note), soft_wrap=True, highlight=False)
-    if found.drive is None:
-        console.print(f"no drive in it: {escape(found.trouble)}", soft_wrap=True, highlight=False)
-        return
-    drive = found.drive
-    console.print(f"a drive of {drive.t[-1]:.1f} s at {1.0 / drive.dt:.0f} Hz", highlight=False)
-    if drive.turns:
-        console.print(f"next: steerkit identify {escape(said)} --out my-car.toml", soft_wrap=True, highlight=False)
+    return table
 
 
 def plot(
@@ -123,32 +131,11 @@ def record_of(place: Path) -> Log:
         raise ValueError(f"{error}; for its channels as they are: steerkit log {place} --plot log.png") from error
 
 
-Row = dict[str, Any]
-"""One channel in numbers: name, unit, samples, rate by the usual step [Hz], begin and end in the file's time [s], gaps
-(steps of more than five usual ones, and 0.25 s), the longest step [s], low, high, samples that are invalid, and the
-quantity that a drive takes it for; empty: none. In brackets: it could, another one is better. NaN: not known."""
+def contents(log: RawLog, given: ColumnMap, *, steer_ratio: float | None = None) -> tuple[list[Row], Drive | None, str]:
+    """What is in a log: a row a channel; the drive that `read_drive` makes of it, if it makes one; and why not, else.
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Contents:
-    """What is in a log; `contents(read_log(...))` makes one."""
-
-    log: RawLog
-    rows: tuple[Row, ...]
-    drive: Drive | None
-    """The drive that `read_drive` makes of it; None where it makes none."""
-    trouble: str
-    """Why it makes none."""
-    notes: tuple[str, ...]
-    """What was read as what, and what was repaired."""
-
-
-def contents(log: RawLog, columns: ColumnMap | None = None, *, steer_ratio: float | None = None) -> Contents:
-    """Everything about a log: rows by channel, and the drive in it or why there is none.
-
-    columns: what a user says of it. steer_ratio: as for `read_drive`.
+    given: what a user says of its columns. steer_ratio: as for `read_drive`.
     """
-    given = columns or ColumnMap({})
     taken = {name: f"({q})" for q in reversed(QUANTITIES) for name in candidates(q, log.channels)}
     drive, trouble, used = None, "", given.columns
     try:
@@ -157,8 +144,7 @@ def contents(log: RawLog, columns: ColumnMap | None = None, *, steer_ratio: floa
     except ValueError as error:
         trouble = str(error)
     taken |= {column.name: quantity for quantity, column in used.items()}
-    rows = tuple(_row(channel, taken.get(name, "")) for name, channel in log.channels.items())
-    return Contents(log=log, rows=rows, drive=drive, trouble=trouble, notes=drive.notes if drive else log.notes)
+    return [_row(channel, taken.get(name, "")) for name, channel in log.channels.items()], drive, trouble
 
 
 def _row(channel: Channel, quantity: str) -> Row:
@@ -188,12 +174,12 @@ MOST = 8
 
 
 @styled
-def picture(found: Contents) -> Any:
+def picture(log: RawLog, rows: Sequence[Row]) -> Any:
     """The matplotlib figure of a log: its channels as they are, those of a drive first."""
-    shown = sorted(found.rows, key=lambda row: not row["quantity"])[:MOST]
-    figure, axes = new_figure(len(shown), title=found.log.name)
+    shown = sorted(rows, key=lambda row: not row["quantity"])[:MOST]
+    figure, axes = new_figure(len(shown), title=log.name)
     for ax, row in zip(axes, shown):
-        channel = found.log.channels[row["name"]]
+        channel = log.channels[row["name"]]
         ax.plot(channel.t, channel.values, color=COLOURS["learned"], lw=0.8)
         ax.set_title(f"{row['name']} [{row['unit'] or '?'}]", fontsize=7, loc="left")
     axes[-1].set_xlabel("t [s], as in the file")

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any
 
 import typer
@@ -74,28 +73,16 @@ class SceneOptions:
         str, in_simulation("Course: a name of `steerkit courses`, random-7, a CSV file, or of a map: town.xodr#road=1.")
     ] = "paper"
     vehicle: Annotated[
-        str,
-        in_simulation(
-            "Car: a name of `steerkit vehicles`, fleet-17, or a vehicle file (its table `steering` is then the motor)."
-        ),
+        str, in_simulation("Car: of `steerkit vehicles`, fleet-17, or a vehicle file (the motor: its `steering`).")
     ] = "vw-passat"
     conditions: Annotated[
-        str,
-        in_simulation(
-            "clean; hard: 1 cm noise, 50 ms sensor delay, 0.15 s lag; real: and noisy v, no sideslip, lost samples."
-        ),
+        str, in_simulation("clean; hard: 1 cm noise, 50 ms delay, 0.15 s lag; real: noisy v, no sideslip, losses too.")
     ] = "clean"
     estimator: Annotated[
-        str,
-        in_simulation(
-            "Between sensors and controllers: none, vehicle-state (a filter), adaptive-state (which adapts)."
-        ),
+        str, in_simulation("Between sensors and controllers: none, vehicle-state (a filter), adaptive-state (adapts).")
     ] = "none"
     speed: Annotated[
-        str,
-        in_simulation(
-            "A steady speed (m/s), `wander`, `recorded`, `limit`, or a CSV file with the columns s (m), v (m/s)."
-        ),
+        str, in_simulation("A steady speed (m/s), `wander`, `recorded`, `limit`, or a CSV file of s (m) and v (m/s).")
     ] = "wander"
     v_max: Annotated[float, in_simulation("The driver's fastest speed (m/s).")] = 7.5
     scenario_file: Annotated[
@@ -130,14 +117,9 @@ class DriveOptions(CarOptions, SceneOptions):
     """The options of a drive, in simulation or on a car."""
 
     car: Annotated[
-        str,
-        typer.Option(
-            help="TOML file of a car on a CAN bus, or a shipped one: dbw-kit.toml; read docs/real-car.md first."
-        ),
+        str, typer.Option(help="TOML file of a car on a CAN bus, or a shipped one: dbw-kit.toml; see docs/real-car.md.")
     ] = ""
-    recovery: Annotated[str, on_car("Recovery controller of a learner: stanley, stanley-delay, adaptive, or auto.")] = (
-        "auto"
-    )
+    recovery: Annotated[str, on_car("Of a learner: stanley, stanley-delay, adaptive, or auto.")] = "auto"
 
 
 def drive_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -242,7 +224,7 @@ def streamed(where: str, *, in_time: bool = False, signals: Sequence[str] | None
         server.end()
 
 
-def check_options(ctx: typer.Context, not_on_a_car: Mapping[str, str] = MappingProxyType({})) -> None:
+def check_options(ctx: typer.Context, not_on_a_car: Mapping[str, str] = {}) -> None:
     """Refuse options of the simulation on a car, and those of a car or a log without one, saying what to do."""
     names, car, source = given(ctx), ctx.params["car"], ctx.params.get("source")
     for parameter in ctx.command.params:

@@ -26,7 +26,7 @@ from steerkit._support.errors import require
 from steerkit._support.native import NoCompilerError, compiler
 from steerkit.compiled.c_code import run_source
 from steerkit.compiled.python_code import PythonProgram
-from steerkit.compiled.trace import Trace, TraceError, flattened, parameter, regrouped, trace, with_parameters
+from steerkit.compiled.trace import Trace, TraceError, parameter, trace, with_parameters
 from steerkit.diagram.loop import Loop, LoopState, require_batch
 from steerkit.diagram.maths import Routine
 from steerkit.diagram.simulation import Log, Signal, check_finite
@@ -170,8 +170,7 @@ def compile(
     backend: "c" (through gcc, kept in a cache on disk; for one car and for many), "python" (generated floats, quickest
     to make) or "auto": C where there is a compiler, else Python and a warning.
     record: signals to keep (default: all); every: keep one tick in `every`. parameters: block fields to leave open,
-    such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car (for a field that is a
-    tuple, such as a policy's weights: an array (n,), or (n, N) for N cars).
+    such as "controller.k" or "car.vehicle.m"; `run` takes a value for each, or one a car.
 
     Raises TraceError naming a block that cannot be compiled, with what to do; NoCompilerError for backend "c" without
     a compiler; KeyError for an unknown signal; ValueError for a bad argument.
@@ -202,10 +201,6 @@ class Compiled:
     trace: Trace
 
     @cached_property
-    def _present(self) -> dict[str, Any]:
-        return {name: parameter(self.loop, name) for name in self.parameters}
-
-    @cached_property
     def _slots(self) -> list[int]:
         return [slot for name in self.record for slot in self.trace.layout.slots_of(name)]
 
@@ -227,11 +222,14 @@ class Compiled:
         if not (math.isfinite(duration) and duration > 0.0):
             raise ValueError(f"run: duration = {duration} s, expected a finite number > 0")
         require_batch("run", batch)
-        values = self._values(parameters or {})
+        given, open_ones = dict(parameters or {}), ", ".join(self.parameters) or "none"
+        for name in given:
+            left_open = f"parameter '{name}' was not left open, compile(parameters=[...]); open: {open_ones}"
+            require(name in self.parameters, "run", left_open)
+        values = {n: given[n] if n in given else parameter(self.loop, n) for n in self.trace.parameters}
         cars = _cars(values, batch)
         if state is None:
-            known = {name: value for name, value in (parameters or {}).items() if name in values}  # not the tuples
-            state = with_parameters(self.loop, known).init(batch=cars)
+            state = with_parameters(self.loop, given).init(batch=cars)
         slots = self.trace.layout.pack(state.x, state.y)
         if len(slots) != len(self.trace.layout):
             what = f"a state of {len(slots)} numbers, the compiled loop has {len(self.trace.layout)}"
@@ -251,17 +249,6 @@ class Compiled:
         if not allow_nonfinite:
             check_finite(log)
         return log
-
-    def _values(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        present, open_ones = dict(self._present), ", ".join(self.parameters) or "none"
-        for name, value in given.items():
-            left_open = f"parameter '{name}' was not left open, compile(parameters=[...]); open: {open_ones}"
-            require(name in present, "run", left_open)
-            old = present[name]
-            if isinstance(old, tuple) and len(value) != len(old):
-                raise ValueError(f"run: parameter '{name}' of length {len(value)}, expected {len(old)} numbers")
-            present[name] = tuple(value) if isinstance(old, tuple) else value
-        return flattened(present)
 
     def _floats(
         self, k: int, stop: int, slots: np.ndarray, parameters: np.ndarray
@@ -294,7 +281,7 @@ class Compiled:
 
     def _ticked(self, k: int, slots: Any, fixed: Any) -> np.ndarray:
         """The slots after tick k: (S,) of one car's floats, or (S, N)."""
-        loop = with_parameters(self.loop, regrouped(self._present, fixed))
+        loop = with_parameters(self.loop, dict(zip(self.trace.parameters, fixed)))
         x, y = self.trace.layout.unpack(slots)
         with np.errstate(all="ignore"):
             loop.advance(k, x, y)

@@ -70,31 +70,28 @@ class Trace:
 
 
 def trace(loop: Loop, *, parameters: Sequence[str] = (), routines: bool = False) -> Trace:
-    """The graphs of a loop. parameters: block fields (`"controller.k"`) to leave open, as inputs; a field that holds a
-    tuple of numbers (an NFQ policy's weights) is one input an entry. routines: may blocks call a `Routine`?
+    """The graphs of a loop. parameters: block fields (`"controller.k"`) to leave open, as inputs. routines: may blocks
+    call a `Routine`?
 
     Raises TraceError naming the block that is not pure or cannot be run on symbols.
     """
     for name, block in loop.blocks.items():
         if not block.pure:
-            raise TraceError(
-                f"{name} ({type(block).__name__}) is not pure, so it cannot be compiled; compile the loop with a model "
-                f"in its place (loop.with_block('{name}', model)), or run this one with simulate"
-            )
+            cure = f"compile the loop with a model in its place (loop.with_block('{name}', model))"
+            what = f"{name} ({type(block).__name__}) is not pure, so it cannot be compiled"
+            raise TraceError(f"{what}; {cure}, or run this one with simulate")
     layout = Layout(loop, start_of(loop).x)
     graph = Graph(routines=routines)
     k, *slots = [graph.input(slot) for slot in range(1 + len(layout))]
-    present = {name: parameter(loop, name) for name in parameters}
-    flat = flattened(present)
-    numbers = [graph.input(1 + len(layout) + i) for i in range(len(flat))]
-    open_loop = with_parameters(loop, regrouped(present, numbers))
+    numbers = {name: graph.input(1 + len(layout) + i) for i, name in enumerate(parameters)}
+    open_loop = with_parameters(loop, numbers)
     graph.refused.clear()  # by the checks of the parameters
     made: dict[tuple[bool, ...], Tick] = {}
     for phase in range(loop.period):
         if (due := loop.due(phase)) not in made:
             made[due] = _tick(open_loop, phase, layout, k, slots)
     ticks = tuple(made[loop.due(phase)] for phase in range(loop.period))
-    return Trace(loop, layout, tuple(flat), ticks, tuple(graph.tables), tuple(graph.routines or ()))
+    return Trace(loop, layout, tuple(numbers), ticks, tuple(graph.tables), tuple(graph.routines or ()))
 
 
 def start_of(loop: Loop) -> LoopState:
@@ -183,20 +180,6 @@ def with_parameters(loop: Loop, values: dict[str, Any]) -> Loop:
     return loop
 
 
-def flattened(values: Mapping[str, Any]) -> dict[str, Any]:
-    """One entry a number: a tuple field `p` becomes `p[0]`, `p[1]`, ...; so does an array of (n,) or (n, N) for it."""
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        flat |= {f"{name}[{i}]": v for i, v in enumerate(value)} if isinstance(value, tuple) else {name: value}
-    return flat
-
-
-def regrouped(present: Mapping[str, Any], numbers: Sequence[Any]) -> dict[str, Any]:
-    """`numbers`, in the order of `flattened(present)`, under the names of `present`."""
-    left = iter(numbers)
-    return {n: tuple([next(left) for _ in v]) if isinstance(v, tuple) else next(left) for n, v in present.items()}
-
-
 def parameter(loop: Loop, name: str) -> Any:
     """The present value of a block field, by name; raises TraceError for an unknown one."""
     block, *fields = name.split(".")
@@ -237,10 +220,9 @@ def replaced(owner: Any, values: Mapping[str, Any], name: str) -> Any:
             made -= {"D", "U", "Y", "inputs", "outputs", "pure", *(p.name for p in (*owner.inputs, *owner.outputs))}
         if made:
             first = next(path for path, value in values.items() if not isinstance(value, float))
-            raise TraceError(
-                f"parameter '{name}.{first}': {type(owner).__name__} computes {', '.join(sorted(made))} when it is "
-                "built and refuses a symbol; make these properties, or choose another parameter"
-            ) from None
+            what = f"{type(owner).__name__} computes {', '.join(sorted(made))} when it is built and refuses a symbol"
+            cure = "make these properties, or choose another parameter"
+            raise TraceError(f"parameter '{name}.{first}': {what}; {cure}") from None
         copy = object.__new__(type(owner))
         vars(copy).update({n: v for n, v in vars(owner).items() if n not in cached} | new)
         return copy

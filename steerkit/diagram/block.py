@@ -129,9 +129,8 @@ class Block:
             raise TypeError(f"{cls.__name__}: {what}: {', '.join(valid)}")
         for name in kwargs:
             if name not in valid:
-                raise TypeError(
-                    f"{cls.__name__} has no parameter '{name}'{nearest(name, valid)}; parameters: {', '.join(valid)}"
-                )
+                what = f"has no parameter '{name}'{nearest(name, valid)}; parameters: {', '.join(valid)}"
+                raise TypeError(f"{cls.__name__} {what}")
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
@@ -189,11 +188,9 @@ class Block:
                 raise AttributeError(name)
             ports = [p.name for p in (*self.inputs, *self.outputs)]
             fields = [f.name for f in dataclasses.fields(self)]
-            raise AttributeError(
-                f"{type(self).__name__} has no port or parameter '{name}'{nearest(name, ports + fields)}; "
-                f"inputs: {', '.join(p.name for p in self.inputs) or 'none'}; "
-                f"outputs: {', '.join(p.name for p in self.outputs) or 'none'}"
-            )
+            what = f"{type(self).__name__} has no port or parameter '{name}'{nearest(name, ports + fields)}"
+            inputs, outputs = (", ".join(p.name for p in of) or "none" for of in (self.inputs, self.outputs))
+            raise AttributeError(f"{what}; inputs: {inputs}; outputs: {outputs}")
 
 
 _SHOWN = 8
@@ -219,16 +216,13 @@ _DECORATE = "write @dataclass(frozen=True, eq=False, kw_only=True) above the cla
 def _check_forgetful(cls: type) -> None:
     """Raise TypeError for a class whose objects would remember, as far as it can be known before it is decorated."""
     if "__init__" in vars(cls):
-        raise TypeError(
-            f"{cls.__name__}.__init__: a block's parameters are fields, such as `gain: float = 2.0`, and checked in "
-            f"__post_init__; {_DECORATE}"
-        )
+        what = "a block's parameters are fields, such as `gain: float = 2.0`, and checked in __post_init__"
+        raise TypeError(f"{cls.__name__}.__init__: {what}; {_DECORATE}")
     for name, value in vars(cls).items():
         if isinstance(value, _CHANGEABLE) and not name.startswith("__"):
-            raise TypeError(
-                f"{cls.__name__}.{name} is a {type(value).__name__} of the class, which all its objects would share; "
-                f"expected a tuple, or a field: `{name}: tuple[float, ...] = ()`"
-            )
+            what = f"is a {type(value).__name__} of the class, which all its objects would share"
+            expected = f"expected a tuple, or a field: `{name}: tuple[float, ...] = ()`"
+            raise TypeError(f"{cls.__name__}.{name} {what}; {expected}")
 
 
 def _check_direct(cls: type[Block], port: Out) -> None:
@@ -237,10 +231,9 @@ def _check_direct(cls: type[Block], port: Out) -> None:
     given: Any = port.direct
     if given is None or (isinstance(given, tuple) and all(isinstance(spec, In) and spec.name in own for spec in given)):
         return
-    raise TypeError(
-        f"{cls.__name__}.{port.name}: direct = {given!r}, expected a tuple of the class's own In ports, not their "
-        f"names: direct=({own[0] + ',' if own else ''}) (inputs: {', '.join(own) or 'none'})"
-    )
+    expected = f"expected a tuple of the class's own In ports, not their names: direct=({own[0] + ',' if own else ''})"
+    inputs = f"(inputs: {', '.join(own) or 'none'})"
+    raise TypeError(f"{cls.__name__}.{port.name}: direct = {given!r}, {expected} {inputs}")
 
 
 def take_ports(wrapper: Block, block: Block) -> None:

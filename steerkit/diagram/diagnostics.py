@@ -1,7 +1,4 @@
-"""Errors in a user's block, stated in terms of blocks and ports; used by everything that runs blocks.
-
-NumPy speaks of arrays, truth values and subscripts; a loop knows which block it asked, for what, and what was due.
-"""
+"""Errors in a user's block, stated in terms of blocks and ports; used by everything that runs blocks."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

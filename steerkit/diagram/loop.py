@@ -59,10 +59,9 @@ def base_step(blocks: Mapping[str, Block], dt: float | None) -> tuple[float, tup
     for name, block in blocks.items():
         ratio = block.dt / base
         if not math.isfinite(ratio) or round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
-            raise WiringError(
-                f"sample time of {name} is {block.dt:g} s, not a whole multiple of the base step {base:g} s; "
-                f"sample times: {', '.join(f'{n} {b.dt:g} s' for n, b in blocks.items())}"
-            )
+            times = ", ".join(f"{n} {b.dt:g} s" for n, b in blocks.items())
+            what = f"is {block.dt:g} s, not a whole multiple of the base step {base:g} s"
+            raise WiringError(f"sample time of {name} {what}; sample times: {times}")
         every.append(round(ratio))
     return base, tuple(every)
 
@@ -205,10 +204,8 @@ class Loop:
         a, b = wire
         for port in wire:
             if id(port.block) not in self._index:
-                raise WiringError(
-                    f"wire {a!r} -> {b!r}: {type(port.block).__name__} is not in the loop; "
-                    f"blocks: {', '.join(self.names)}"
-                )
+                what = f"{type(port.block).__name__} is not in the loop; blocks: {', '.join(self.names)}"
+                raise WiringError(f"wire {a!r} -> {b!r}: {what}")
         text = f"wire {self._label(a)} -> {self._label(b)}"
         if not isinstance(a.spec, Out) or not isinstance(b.spec, In):
             raise WiringError(f"{text}: a wire goes from an output to an input, here {a.spec.kind} to {b.spec.kind}")
@@ -233,10 +230,8 @@ class Loop:
                 if (i, port.name) not in source:
                     named = zip(self.names, self._blocks)
                     fit = [f"{name}.{out.name}" for name, b in named for out in b.outputs if out.unit == port.unit]
-                    raise WiringError(
-                        f"{self.names[i]}.{port.name} [{port.unit}] is not driven; "
-                        f"outputs with that unit: {', '.join(fit) or 'none'}"
-                    )
+                    what = f"is not driven; outputs with that unit: {', '.join(fit) or 'none'}"
+                    raise WiringError(f"{self.names[i]}.{port.name} [{port.unit}] {what}")
         return source
 
     def _schedule(self) -> tuple[Call, ...]:
@@ -285,10 +280,8 @@ class Loop:
         try:
             graphlib.TopologicalSorter(graph).prepare()
         except graphlib.CycleError as error:
-            raise WiringError(
-                f"algebraic loop: {' -> '.join(error.args[1])}; make one of these inputs direct=False, "
-                "or put a block with a state between"
-            ) from None
+            cure = "make one of these inputs direct=False, or put a block with a state between"
+            raise WiringError(f"algebraic loop: {' -> '.join(error.args[1])}; {cure}") from None
 
     def _tick(self, due: Sequence[bool], taps: Mapping[Place, str] = {}) -> Any:
         """One tick as a straight run of Python calls: nothing is looked up that can be known beforehand.
@@ -480,10 +473,8 @@ class Loop:
             settled, y, changed = self._settle_all(start, settled, cars)
             if not changed:
                 return LoopState(0, tuple(settled), tuple(y)), rounds
-        raise WiringError(
-            f"{changed} is needed before its block can settle, and is another one after it has, however often all "
-            "blocks settle; make it independent of what `settle` finds"
-        )
+        what = "is needed before its block can settle, and is another one after it has, however often all blocks settle"
+        raise WiringError(f"{changed} {what}; make it independent of what `settle` finds")
 
     def _settle_all(
         self, start: list[State], before: list[State], shape: tuple[int, ...] | None
@@ -510,9 +501,8 @@ class Loop:
         for out, value in zip(block.outputs, y):
             independent = out.direct is not None and not unknown & {p.name for p in out.direct}
             if unknown and independent and not m.is_symbol(value) and np.isnan(np.asarray(value, dtype=float)).any():
-                raise WiringError(
-                    f"{name}.{out.name} is declared independent of {', '.join(sorted(unknown))}, but is NaN without it"
-                )
+                of = ", ".join(sorted(unknown))
+                raise WiringError(f"{name}.{out.name} is declared independent of {of}, but is NaN without it")
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -253,11 +253,8 @@ def check_finite(log: Log) -> None:
         lost = np.argwhere(~np.isfinite(value))
         places = ", ".join("-".join(map(str, place)) for place in lost[:5].tolist()) + ", ..." * (len(lost) > 5)
         of = f" for {len(lost)} of {value.size} ({places})" if value.ndim else ""
-        raise NonFiniteError(
-            f"{name} [{log.units[name]}] is {value[tuple(lost[0])]}{of} at t = {log.t[i]:g} s, first of all signals; "
-            "the error's .log holds the run (allow_nonfinite=True returns it)",
-            log,
-        )
+        what = f"{name} [{log.units[name]}] is {value[tuple(lost[0])]}{of} at t = {log.t[i]:g} s, first of all signals"
+        raise NonFiniteError(f"{what}; the error's .log holds the run (allow_nonfinite=True returns it)", log)
 
 
 def _stack(values: list[Any]) -> np.ndarray:

@@ -12,18 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import optional, require
 from steerkit.compiled.graph import FUNCTIONS
 from steerkit.compiled.python_code import PythonProgram
-from steerkit.compiled.trace import Trace, flattened, parameter, trace
+from steerkit.compiled.trace import Trace, parameter, trace
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import Signal
 from steerkit.export.c import from_template
-
-try:
-    from pythonfmu.builder import FmuBuilder
-except ImportError as why:
-    raise ImportError("steerkit.export.fmu needs pythonfmu: pip install 'steerkit-control[export]'") from why
 
 
 def export_fmu(
@@ -41,6 +36,7 @@ def export_fmu(
     target = Path(file)
     fits = target.suffix == ".fmu" and re.fullmatch(r"[A-Za-z]\w*", target.stem)
     require(fits, "export_fmu", f"file {target.name!r}, expected letters, digits and _, and the ending .fmu")
+    builder = optional("pythonfmu.builder", "export_fmu", "export").FmuBuilder
     program = trace(loop, parameters=parameters)
     names = [signal if isinstance(signal, str) else loop.port_name(signal) for signal in outputs]
     for name in names:
@@ -49,7 +45,7 @@ def export_fmu(
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder, f"{target.stem.lower()}_model.py")
         script.write_text(_script(program, target.stem, names, parameters), encoding="utf-8")
-        FmuBuilder.build_FMU(script, target, canGetAndSetFMUstate="true", canSerializeFMUstate="true")
+        builder.build_FMU(script, target, canGetAndSetFMUstate="true", canSerializeFMUstate="true")
     return target
 
 
@@ -57,7 +53,7 @@ def _script(program: Trace, name: str, outputs: Sequence[str], parameters: Seque
     loop, layout = program.loop, program.layout
     start = loop.init()
     slots = [float(value) for value in layout.pack(start.x, start.y)]
-    fixed = {n: float(v) for n, v in flattened({n: parameter(loop, n) for n in parameters}).items()}
+    fixed = {n: float(parameter(loop, n)) for n in parameters}
     shown = {output: (layout.slots_of(output)[0], loop.units[output]) for output in outputs}
     tables = [np.array(table.rows).tolist() for table in program.tables]
     return "\n".join(

@@ -6,18 +6,12 @@ import warnings
 from itertools import pairwise
 from typing import Any
 
+import gymnasium
 import numpy as np
 
-from steerkit._support.errors import require
+from steerkit._support.errors import optional, require
 from steerkit.gym.task import Task
 from steerkit.learning.data.transitions import Transitions
-
-try:
-    import gymnasium
-    import minari
-    from minari.data_collector import EpisodeBuffer
-except ImportError as why:
-    raise ImportError("steerkit.export.minari needs minari: pip install 'steerkit-control[export]'") from why
 
 
 def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, description: str = "") -> Any:
@@ -30,7 +24,7 @@ def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, descript
 
     Raises ValueError for other columns or actions than the task's, or a data set that exists already.
     """
-    where, names = "to_minari", transitions.names
+    where, names, minari = "to_minari", transitions.names, optional("minari", "to_minari", "export")
     transitions = transitions.part(transitions.own)
     require(len(transitions) > 0, where, "no transitions of the learner's own, expected at least one")
     fault = f"columns {names}, but the task has {task.description.names}"
@@ -52,7 +46,7 @@ def to_minari(transitions: Transitions, dataset_id: str, task: Task, *, descript
         truncated[-1] = not terminated[-1]
         seen = task.observation(np.concatenate((s[first:end], s_next[end - 1 : end])))
         episodes.append(
-            EpisodeBuffer(
+            minari.data_collector.EpisodeBuffer(
                 id=number,
                 observations=seen,
                 actions=actions[first:end],

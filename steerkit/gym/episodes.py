@@ -99,9 +99,8 @@ class Episodes:
         )
         seen = self._arrays["observation"]
         fits = seen.shape == (cars, columns) and seen.dtype == np.float32 and seen.flags.c_contiguous
-        require(
-            fits, "Episodes", f"observation {seen.dtype} {seen.shape}, expected float32 {(cars, columns)}, contiguous"
-        )
+        given = f"observation {seen.dtype} {seen.shape}"
+        require(fits, "Episodes", f"{given}, expected float32 {(cars, columns)}, contiguous")
         self._generators: list[np.random.Generator] = []
         for name in ("observation", "reward", "terminated", "truncated", "over"):
             setattr(self, name, self._arrays[name][:cars])
@@ -282,7 +281,7 @@ def cars_of(
 
 
 class Drives:
-    """N cars, each with its own start, noise and clock; `Episodes` is the same in C, and documents the fields."""
+    """N cars, each with its own start, noise and clock; `Episodes` is the same in C, and documents what is here."""
 
     def __init__(self, task: Task, cars: int, mode: AutoresetMode):
         self.task, self.n, self._mode, self._loop = task, cars, mode, task.loop
@@ -301,7 +300,6 @@ class Drives:
 
     @property
     def observation(self) -> NDArray[np.float32]:
-        """What the agents see, (N, columns)."""
         return self.task.observation(self._s)
 
     @property
@@ -309,11 +307,9 @@ class Drives:
         return self._values[: len(self.task.columns)].T
 
     def draw_from(self, generators: Sequence[np.random.Generator]) -> None:
-        """Draw the starts of car i from generator i."""
         self._generators = generators
 
     def start(self, cars: NDArray[np.intp], draws: Sequence[Draw]) -> None:
-        """Put the cars of these numbers where they were drawn."""
         start = self.task.starts(draws)
         self._put(cars, start)
         first = self._loop.sample(start)
@@ -322,10 +318,6 @@ class Drives:
         self._steps[cars], self._cost[cars], self.over[cars] = 0, 0.0, False
 
     def step(self, actions: Array) -> None:
-        """Drive all cars one sample with these actions [rad], and go on with the next episode where one has ended.
-
-        Raises FloatingPointError when a signal is no finite number any more, ResetNeeded before the first start.
-        """
         if not self._x:
             raise gymnasium.error.ResetNeeded("step: no episode has begun; call reset()")
         before = self._s.copy()
@@ -337,7 +329,7 @@ class Drives:
         self._steps += 1
         self._cost, failed = self.task.price(before, actions, self._s)
         require_finite(self._signals, np.vstack([self._values, self._cost]), self._steps)
-        late = (self._steps >= self.task.longest) | (self._info("path.s") >= self.task.end)
+        late = (self._steps >= self.task.longest) | (self._values[self._signals.index("path.s")] >= self.task.end)
         self.reward = np.where(failed, -self.task.failure, -self._cost)
         self.terminated, self.truncated = failed, late & ~failed
         anew = self.over
@@ -352,18 +344,13 @@ class Drives:
             self.start(cars, [self.task.draw(self._generators[car]) for car in cars.tolist()])
 
     def infos(self) -> dict[str, Array]:
-        """What an agent need not know but people want to, (N,) each: SI; copies."""
         rows = self._values[len(self.task.columns) :].copy()
         named = dict(zip([name.split(".")[1] for name in self.task.info], rows))
         return named | {"t": self._steps * self.task.dt, "cost": self._cost.copy()}
 
     def last(self) -> tuple[NDArray[np.float32], dict[str, Array]]:
-        """Observations and infos at the end of the episodes that ended in the last step."""
         assert self._last is not None
         return self._last
-
-    def _info(self, name: str) -> Array:
-        return self._values[len(self.task.columns) + self.task.info.index(name)]
 
     def _put(self, cars: NDArray[np.intp], start: LoopState) -> None:
         self._k[cars] = 0.0

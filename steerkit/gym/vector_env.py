@@ -139,7 +139,7 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
     action, with reward 0), `SameStep` (the end's observation and info under `final_obs` and `final_info`) or
     `Disabled` (call `reset(options={"reset_mask": ...})`). backend: `c` compiles loop, cost and starts for some seconds
     the first time, `python` runs them on arrays. threads: of `c`; by default one for 256 cars, up to the number of
-    cores. copy: False gives the arrays that the next step writes over, which saves their copies.
+    cores.
 
     A task with a cost or a scenario of your own that cannot be run on symbols is computed in Python, with a warning.
     """
@@ -155,7 +155,6 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         backend: Backend = "c",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
-        copy: bool = True,
         **options: Any,
     ):
         where = "TrackSteeringVector"
@@ -167,7 +166,7 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         if not isinstance(autoreset_mode, AutoresetMode):
             known(autoreset_mode, [mode.value for mode in AutoresetMode], f"{where}: autoreset_mode")
         self.task, self.num_envs, self.render_mode = Task.of(options), num_envs, render_mode
-        self._mode, self._copy = AutoresetMode(autoreset_mode), copy
+        self._mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 20, "autoreset_mode": self._mode}
         self.single_action_space = self.task.action_space
         self.single_observation_space = self.task.observation_space
@@ -203,7 +202,7 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
         infos = _masked(self._cars.infos(), mask)
         for i in cars.tolist() if self._painters else ():
             self._painters[i].add({name: values[i] for name, values in infos.items()})
-        return self._observed(), infos
+        return self._cars.observation.copy(), infos
 
     def step(self, actions: Any) -> tuple[NDArray[np.float32], NDArray[Any], Flags, Flags, dict[str, Any]]:
         """Drive all cars one sample, and start those anew whose episode is over."""
@@ -221,15 +220,11 @@ class TrackSteeringVector(VectorEnv[NDArray[np.float32], Any, NDArray[Any]]):
                 final[car] = seen[car]
             infos |= {"final_obs": final, "final_info": _masked(last, ended)}
             infos |= {"_final_obs": ended.copy(), "_final_info": ended.copy()}
-        judged = cars.reward, cars.terminated, cars.truncated
-        return self._observed(), *([a.copy() for a in judged] if self._copy else judged), infos
+        return cars.observation.copy(), cars.reward.copy(), cars.terminated.copy(), cars.truncated.copy(), infos
 
     def render(self) -> Any:
         """A tuple of frames, one a car; None without a render_mode."""
         return tuple(painter.frame() for painter in self._painters) if self._painters else None
-
-    def _observed(self) -> NDArray[np.float32]:
-        return self._cars.observation.copy() if self._copy else self._cars.observation
 
 
 def _masked(infos: Mapping[str, Any], mask: Flags) -> dict[str, Any]:
@@ -324,7 +319,7 @@ def from_stable_baselines(model: Any, task: Task | None = None) -> PolicyBlock:
     )
 
 
-_SEEN = 15
+_SEEN, _NO_COMMANDS = 15, (0.0,) * 8
 
 
 class LateralAcceleration(gymnasium.Env[NDArray[np.float32], Any]):
@@ -338,14 +333,13 @@ class LateralAcceleration(gymnasium.Env[NDArray[np.float32], Any]):
     one drawn for each episode. Raises ValueError for others, and for an action outside [-1, 1].
     """
 
-    NO_COMMANDS = (0.0,) * 8
-    observation_space = spaces.Box(-10.0, 10.0, (4 + _SEEN + len(NO_COMMANDS),), np.float32)
+    observation_space = spaces.Box(-10.0, 10.0, (4 + _SEEN + len(_NO_COMMANDS),), np.float32)
     action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
     def __init__(self, *, scenario: Any = None, target: str | None = None, seconds: float = 60.0):
         self.scenario = scenario if isinstance(scenario, Scenario) else Scenario.under(**(scenario or {}))
         self._fixed = None if target is None else LateralTarget.read(target, self.scenario)
-        self._seconds, self._past = seconds, self.NO_COMMANDS
+        self._seconds, self._past = seconds, _NO_COMMANDS
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -354,7 +348,7 @@ class LateralAcceleration(gymnasium.Env[NDArray[np.float32], Any]):
         super().reset(seed=seed)
         draw = int(self.np_random.integers(2**31))
         self._target = self._fixed or LateralTarget.drawn(draw, seconds=self._seconds)
-        self._past, self._driven = self.NO_COMMANDS, list[Any]()
+        self._past, self._driven = _NO_COMMANDS, list[Any]()
         agent = Agent(dt=self._target.dt)
         set_ports(agent, (), LateralMpc.outputs)
         self._loop = lateral_loop(self.scenario, self._target, agent, seed=draw)
@@ -383,14 +377,7 @@ class LateralAcceleration(gymnasium.Env[NDArray[np.float32], Any]):
         self._loop.run_phase(0, self._state.k * self._loop.dt, x, y)
         now = self._target.Y(*y[self._loop.names.index("target")])
         self._driven.append((now.a_y, now.a_y_target))
-        told = (now.a_y_target, now.a_y, now.a_roll, now.v, now.preview, now.preview_roll, self._past)
-        return self.seen(*told), {"a_y": float(now.a_y), "a_y_target": float(now.a_y_target)}
-
-    @staticmethod
-    def seen(
-        target: float, a_y: float, roll: float, v: float, preview: Any, preview_roll: Any, past: Sequence[float]
-    ) -> NDArray[np.float32]:
-        """The observation, for whoever drives with a trained policy elsewhere; past: the last 8 commands [m/s^2]."""
-        ahead = np.subtract(preview, preview_roll)[:_SEEN]
-        values = (target - a_y, a_y, roll, v / 20.0 - 1.0, *ahead, *past)
-        return np.clip(values, -10.0, 10.0).astype(np.float32)
+        ahead = np.subtract(now.preview, now.preview_roll)[:_SEEN]
+        values = (now.a_y_target - now.a_y, now.a_y, now.a_roll, now.v / 20.0 - 1.0, *ahead, *self._past)
+        seen = np.clip(values, -10.0, 10.0).astype(np.float32)
+        return seen, {"a_y": float(now.a_y), "a_y_target": float(now.a_y_target)}

@@ -19,20 +19,9 @@ from steerkit.scenario.catalogue import make_safety
 from steerkit.scenario.drive import SignCheck, assembled
 
 SIGNALS = (
-    "path.e",
-    "path.psi_e",
-    "path.progress",
-    "path.s",
-    "path.kappa",
-    "car.x",
-    "car.y",
-    "car.v",
-    "car.r",
-    "car.a_y",
-    "car.delta_sw",
-    "supervisor.delta_sw",
-    "supervisor.learning",
-    "controller.action",
+    *(f"path.{name}" for name in ("e", "psi_e", "progress", "s", "kappa")),
+    *(f"car.{name}" for name in ("x", "y", "v", "r", "a_y", "delta_sw")),
+    *("supervisor.delta_sw", "supervisor.learning", "controller.action"),
 )
 SAFETY_SIGNALS = ("safety.share", "safety.correction", "safety.reason", "safety.late", "safety.widened")
 """Those of a learner with a safety filter besides."""

@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 from pathlib import Path as FilePath
 from typing import Any
 
+from steerkit._support.console import shown
 from steerkit._support.errors import require
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.loop import Sample
@@ -90,9 +91,8 @@ def _check_same(kept: Experiment, asked: Experiment, place: FilePath) -> None:
     # rounds = 0: never
     less = [name for name in ENDS if (getattr(kept, name) or math.inf) > (getattr(asked, name) or math.inf)]
     more = ", ".join(f"{name} {getattr(kept, name):g}, now {getattr(asked, name):g}" for name in less)
-    require(
-        not less, "learn", f"{place} holds a run of more: {more}; give as much or more, or choose another directory"
-    )
+    cure = "give as much or more, or choose another directory"
+    require(not less, "learn", f"{place} holds a run of more: {more}; {cure}")
 
 
 def from_log(
@@ -103,7 +103,7 @@ def from_log(
     delay: float = 0.0,
     lag: float = 0.0,
     updates: int = UPDATES,
-    watch: Callable[[int], None] | None = None,
+    progress: bool = False,
 ) -> LearningRun:
     """Learn from a recorded drive alone, human or controller, and return a run that has driven that and no more.
 
@@ -112,8 +112,8 @@ def from_log(
 
     drive, delay, lag: see `steerkit.learning.data.from_log.as_driven`. experiment: setting, car (whose data sheet is
     believed) and seed; the course is where it is shown, and `minutes` become the drive's. updates: of the Q-function,
-    all on the same record. watch: called with the number of each that is done. Raises ValueError for a setting that
-    learns no model of the car, a drive that shows too little of the car (`Excitation`), and a directory that is in use.
+    all on the same record. progress: show a bar on the terminal. Raises ValueError for a setting that learns no model
+    of the car, a drive that shows too little of the car (`Excitation`), and a directory that is in use.
     """
     setting, scenario, where = experiment.setting, experiment.scenario, drive.name
     models = f"setting '{setting.name}' learns no model of the car; valid: default, smooth, low-pass"
@@ -134,11 +134,9 @@ def from_log(
     run.source = {"log": where, "delay": delay, "lag": lag, **asdict(found)}
     run.counts.k = len(log.t) * run.ticks
     run.learner_state.transitions = record
-    for number in range(1, updates + 1):
+    for _ in shown(range(updates), "updates" * progress):
         run.learner_state.train(run.t, trusted=True)
         run.learner_state.take_over(math.inf, e=0.0, e_dot=0.0)
-        if watch is not None:
-            watch(number)
     run.steer()
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)

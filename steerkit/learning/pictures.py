@@ -1,11 +1,9 @@
 """Pictures that explain a learning run: what it values, what it would do, where it failed.
 
-Each function takes a `Record` (or a policy) and returns a matplotlib figure; `draw_all` draws the set of a run
-directory. How to read them: docs/learning.md.
+`draw_all` draws the set of a run directory. How to read them: docs/learning.md.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +19,6 @@ from steerkit.diagram.units import degrees_of, radians_of
 from steerkit.learning import rundir
 from steerkit.learning.data.distance import REACH, Distance, states_of
 from steerkit.learning.data.transitions import Transitions
-from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
 from steerkit.learning.nfq.iterate import patterns
 from steerkit.learning.nfq.rprop import forward
@@ -152,16 +149,8 @@ def beside_the_data(record: Transitions, log: Log, apart: Distance, *, title: st
     for axis, ((i, x_label), (j, y_label)) in zip((left, middle), _PAIRS):
         axis.plot(record.s[:, i], degrees_of(record.s[:, j]), ".", ms=2.0, mew=0, color=COLOURS["muted"], alpha=0.5)
         order = np.argsort(apart.d)
-        dots = axis.scatter(
-            s[order, i],
-            degrees_of(s[order, j]),
-            c=apart.d[order],
-            s=3,
-            lw=0,
-            cmap="viridis",
-            vmin=0.0,
-            vmax=2.0 * REACH,
-        )
+        look: dict[str, Any] = {"s": 3, "lw": 0, "cmap": "viridis", "vmin": 0.0, "vmax": 2.0 * REACH}
+        dots = axis.scatter(s[order, i], degrees_of(s[order, j]), c=apart.d[order], **look)
         axis.set(xlabel=x_label, ylabel=y_label)
     figure.colorbar(dots, ax=middle, label="distance [1]")
     right.plot(log.t, apart.d, color=COLOURS["learned"], lw=0.9)
@@ -170,63 +159,24 @@ def beside_the_data(record: Transitions, log: Log, apart: Distance, *, title: st
     return figure
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Record:
-    """What a run directory holds of a run."""
-
-    name: str
-    experiment: Experiment
-    episodes: tuple[Episode, ...]
-    log: Log
-    policy: NfqPolicy
-    """Of the last update."""
-    path: Path
-    transitions: Transitions
-
-    @classmethod
-    def read(cls, place: str | FilePath) -> "Record":
-        """From a run directory; raises ValueError when there is none or it is broken."""
-        place = FilePath(place)
-        data = rundir.document(place)
-        experiment = rundir.experiment_of(place, data)
-        return cls(
-            name=f"{place.resolve().name}: {experiment.setting.name} on {experiment.scenario.course.name}",
-            experiment=experiment,
-            episodes=tuple(Episode(**episode) for episode in data["counts"]["episodes"]),
-            log=rundir.drive_log(place),
-            policy=rundir.final_policy(place),
-            path=experiment.scenario.path(),
-            transitions=Transitions.load(place / f"transitions-{data['checkpoint']}.npz"),
-        )
-
-    @property
-    def learning(self) -> NDArray[np.bool_]:
-        """At each sample of the log: does the learner steer?"""
-        return self.log["supervisor.learning"] > 0.5
-
-    def ended(self, episode: Episode) -> float:
-        """Driving time at which an episode ended, or the log's end [s]."""
-        return float(self.log.t[-1]) if episode.ended is None else episode.ended
-
-    @property
-    def failed_at(self) -> NDArray[np.intp]:
-        """Samples of the log at which the recovery controller took over."""
-        times = [episode.ended for episode in self.episodes if episode.failed]
-        return np.minimum(np.searchsorted(self.log.t, np.array(times, dtype=float) - 1e-6), len(self.log.t) - 1)
+def ended(episode: Episode, log: Log) -> float:
+    """Driving time at which an episode ended, or the log's end [s]."""
+    return float(log.t[-1]) if episode.ended is None else episode.ended
 
 
-def replay(record: Record, number: int) -> "Figure":
-    """Episode `number` (from 1): on the map, e, wheel and lateral acceleration.
+def failed_at(episodes: Sequence[Episode], log: Log) -> NDArray[np.intp]:
+    """Samples of a run's log at which the recovery controller took over."""
+    times = [episode.ended for episode in episodes if episode.failed]
+    return np.minimum(np.searchsorted(log.t, np.array(times, dtype=float) - 1e-6), len(log.t) - 1)
 
-    Raises ValueError for an episode that is not there.
-    """
-    count = len(record.episodes)
-    require(1 <= number <= count, "replay", f"episode {number} of {record.name}, expected 1 to {count}")
-    episode, log = record.episodes[number - 1], record.log
-    began, ended = episode.began, record.ended(episode)
-    part = (log.t >= began - 1e-6) & (log.t <= ended + 1e-6)
+
+def replay(episodes: Sequence[Episode], log: Log, number: int, *, name: str) -> "Figure":
+    """Episode `number` (from 1) of the run `name`: on the map, e, wheel and lateral acceleration."""
+    episode = episodes[number - 1]
+    began, end = episode.began, ended(episode, log)
+    part = (log.t >= began - 1e-6) & (log.t <= end + 1e-6)
     ending = "failed" if episode.failed else "still driving"
-    title = f"{record.name}: episode {number}, {ending} after {ended - began:.1f} s, {episode.distance:.0f} m"
+    title = f"{name}: episode {number}, {ending} after {end - began:.1f} s, {episode.distance:.0f} m"
     shown = Log(log.t[part], {name: values[part] for name, values in log.items()}, log.units)
     return round_driven(shown, title=title)
 
@@ -236,22 +186,21 @@ def draw_all(place: str | FilePath, out: str | FilePath | None = None) -> list[F
 
     Replays: the longest episode, and the last that failed. Raises ValueError for a directory that holds no whole run.
     """
-    record = Record.read(place)
+    run = rundir.load(FilePath(place))
+    log, episodes, visited = rundir.drive_log(FilePath(place), until=run.t), run.counts.episodes, run.transitions
     folder = FilePath(place) / "diagnostics" if out is None else FilePath(out)
     folder.mkdir(parents=True, exist_ok=True)
-    scenario, speeds = record.experiment.scenario, record.transitions.s[:, V]
+    scenario, speeds = run.experiment.scenario, visited.s[:, V]
+    name = f"{FilePath(place).resolve().name}: {run.experiment.setting.name} on {scenario.course.name}"
     v = float(np.median(speeds)) if len(speeds) else 6.0
-    figures: dict[str, Callable[[], Figure]] = {
-        "policy-map": lambda: policy_map(record.policy, scenario, visited=record.transitions, v=v, title=record.name)
-    }
-    lengths = [record.ended(episode) - episode.began for episode in record.episodes]
-    failed = [k for k, episode in enumerate(record.episodes, start=1) if episode.failed]
+    policy = rundir.final_policy(FilePath(place), run.counts.updates)
+    files = [folder / "policy-map.png"]
+    policy_map(policy, scenario, visited=visited, v=v, title=name).savefig(files[0])
+    lengths = [ended(episode, log) - episode.began for episode in episodes]
+    failed = [k for k, episode in enumerate(episodes, start=1) if episode.failed]
     for number in sorted({*([int(np.argmax(lengths)) + 1] if lengths else []), *failed[-1:]}):
-        figures[f"episode-{number}"] = lambda number=number: replay(record, number)  # type: ignore[misc]
-    files = []
-    for name, draw in figures.items():
-        files.append(folder / f"{name}.png")
-        draw().savefig(files[-1])
+        files.append(folder / f"episode-{number}.png")
+        replay(episodes, log, number, name=name).savefig(files[-1])
     return files
 
 
@@ -264,25 +213,25 @@ def film_of(place: str | FilePath, file: str | FilePath, *, lasts: float = 20.0,
     """
     film_writer(file)
     require(2.0 <= lasts <= 120.0, "film", f"lasts = {lasts} s, expected 2 to 120")
-    record = Record.read(place)
-    done = rundir.document(FilePath(place))["counts"]["first_round_done"]
-    t, car = record.log.t, record.experiment.scenario.nominal
-    require(len(t) >= 2, "film", f"{place}: nothing has been driven yet")
-    moments = moments_of(record, float(t[-1] if done is None else min(done, t[-1])), lasts, fps)
-    return animate(with_heading(record), record.path, file, vehicle=car, fps=fps, moments=moments)
+    run = rundir.load(FilePath(place))
+    log, done = rundir.drive_log(FilePath(place), until=run.t), run.counts.first_round_done
+    require(len(log.t) >= 2, "film", f"{place}: nothing has been driven yet")
+    until = float(log.t[-1] if done is None else min(done, log.t[-1]))
+    moments = moments_of(run.counts.episodes, log, until, lasts, fps)
+    car = run.experiment.scenario.nominal
+    return animate(with_heading(run.path, log), run.path, file, vehicle=car, fps=fps, moments=moments)
 
 
-def with_heading(record: Record) -> Log:
-    """The run's signals, and the car's heading, which it does not record."""
-    log = record.log
-    psi = record.path.psi(log["path.s"]) + log["path.psi_e"]
+def with_heading(path: Path, log: Log) -> Log:
+    """A run's signals, and the car's heading, which it does not record."""
+    psi = path.psi(log["path.s"]) + log["path.psi_e"]
     return Log(log.t, {**log.signals, "car.psi": psi}, {**log.units, "car.psi": "rad"})
 
 
-def moments_of(record: Record, until: float, lasts: float, fps: float) -> Array:
+def moments_of(episodes: Sequence[Episode], log: Log, until: float, lasts: float, fps: float) -> Array:
     """Driving time of each picture [s]: the beginning in real time, if that takes up to half the film; else evenly."""
-    t = record.log.t
-    again = t[record.learning & (t > t[record.failed_at[0]])] if len(record.failed_at) else t[:0]
+    t, failed = log.t, failed_at(episodes, log)
+    again = t[(log["supervisor.learning"] > 0.5) & (t > t[failed[0]])] if len(failed) else t[:0]
     begin = min(until, (float(again[0]) if len(again) else 0.0) + 4.0)
     first = np.arange(0.0, begin, max(1.0, begin / (0.5 * lasts)) / fps)
     return np.concatenate((first, np.linspace(begin, until, max(2, round(lasts * fps) - len(first)))))

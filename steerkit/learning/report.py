@@ -4,7 +4,6 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -14,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
 from steerkit._support.console import console
-from steerkit._support.errors import require
+from steerkit._support.errors import optional
 from steerkit.diagram.loop import Sample
 from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
@@ -88,8 +87,7 @@ def in_tensorboard(place: FilePath) -> Iterator[Watcher]:
 
     A run that goes on continues its curves. Raises ValueError where the package tensorboard is missing.
     """
-    there = find_spec("tensorboard") is not None
-    require(there, "learn --live", "needs the package tensorboard: pip install 'steerkit-control[live]'")
+    optional("tensorboard", "learn --live", "live")
     from torch.utils.tensorboard import SummaryWriter
 
     lately, writers = Lately(), list[Any]()
@@ -203,10 +201,7 @@ def show(place: FilePath, *, quiet: bool = False) -> dict[str, Any]:
     merit = figures_of_merit(run)
     if run.source is not None:
         merit = {"log": run.source["log"]} | merit
-    table = Table(title=f"{place}", show_header=False)
-    for key, value in merit.items():
-        table.add_row(key.replace("_", " "), f"{value:.2f}" if isinstance(value, float) else str(value))
-    console.print(table)
+    console.print(_side_by_side({f"{place}": merit}))
     scenario = run.experiment.scenario
     logs = {
         "learned": _final_drive(place, run),
@@ -249,34 +244,20 @@ def _final_drive(place: FilePath, run: LearningRun) -> Log:
 
 
 def show_several(places: Sequence[FilePath]) -> list[dict[str, Any]]:
-    """Print several runs as one table: what learning took, and a test drive of each one's final net."""
-    rows = []
-    table = Table("", *(escape(str(place)) for place in places), title=f"{len(places)} runs")
-    for column in table.columns[1:]:
-        column.overflow = "fold"
-    for place in places:
-        run = rundir.load(place)
-        rows.append(
-            figures_of_merit(run) | {"run": str(place), "drive": evaluate.row_of(str(place), _final_drive(place, run))}
-        )
-    for head, cell in _OF_RUNS.items():  # a column a run: a row a run is wider than a terminal
-        table.add_row(escape(head), *(escape(cell(row)) for row in rows))
-    console.print(table)
-    return rows
+    """Print several runs side by side: what learning took, and a test drive of each one's final net."""
+    runs = {str(place): rundir.load(place) for place in places}
+    merits = {name: figures_of_merit(run) for name, run in runs.items()}
+    console.print(_side_by_side(merits))
+    logs = {name: _final_drive(FilePath(name), run) for name, run in runs.items()}
+    console.print(evaluate.comparison("a test drive of each one's final net", logs))
+    return [merit | {"run": name, "drive": evaluate.row_of(name, logs[name])} for name, merit in merits.items()]
 
 
-_OF_RUNS: dict[str, Callable[[dict[str, Any]], str]] = {
-    "setting": lambda row: str(row["setting"]),
-    "course": lambda row: str(row["course"]),
-    "seed": lambda row: str(row["seed"]),
-    "driven [min]": lambda row: f"{row['driving_minutes']:.1f}",
-    "failures": lambda row: str(row["failures"]),
-    "rounds": lambda row: str(row["rounds"]),
-    "updates": lambda row: str(row["updates"]),
-    "first round [s]": lambda row: "-" if row["first_round_done_s"] is None else f"{row['first_round_done_s']:.0f}",
-    "failures before": lambda row: "-" if row["failures_to_round"] is None else str(row["failures_to_round"]),
-    "held": lambda row: "yes" if row["drive"]["held"] else "no",
-    "RMS e [m]": lambda row: f"{row['drive']['rms_e']:.3f}",
-    "max e [m]": lambda row: f"{row['drive']['max_e']:.3f}",
-    "wheel [deg/s]": lambda row: f"{row['drive']['rms_wheel_rate_deg']:.0f}",
-}
+def _side_by_side(merits: dict[str, dict[str, Any]]) -> Table:
+    """A column a run: a row a run is wider than a terminal."""
+    columns = [Column(escape(name), overflow="fold") for name in merits]
+    table = Table("", *columns, title=f"{len(merits)} runs" if len(merits) > 1 else None)
+    for key in next(iter(merits.values())):
+        cells = [merit[key] for merit in merits.values()]
+        table.add_row(key.replace("_", " "), *(f"{x:.2f}" if isinstance(x, float) else str(x) for x in cells))
+    return table

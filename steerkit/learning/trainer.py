@@ -251,7 +251,6 @@ def _train(job: Job) -> tuple[Learned, float]:
 
 
 Training = SimulatedTrainer | Trainer
-"""What trains: `submit` a job, `poll` for its result, and ask whether it is `busy`."""
 
 
 def _require_newer(job: Job, newest: int) -> None:

@@ -1,7 +1,4 @@
-"""Logs of any program: what is in them (`read_log`), and the drive that they hold (`read_drive`)::
-
-drive = read_drive("lap.mat", ColumnMap.load("lap.toml"))
-"""
+"""Logs of any program: what is in them (`read_log`), and the drive that they hold (`read_drive`)."""
 
 import hashlib
 from collections import Counter
@@ -207,12 +204,8 @@ def _clock(table: Table, time: Column | None, where: str) -> str:
     if time is not None and time.name in table.columns:
         return time.name
     known = [name for name in table.columns if place("t", name) is not None]
-    require(
-        known,
-        where,
-        f"which column is t? Columns: {', '.join(table.columns)}. Say so in a map, such as "
-        't = { column = "stamp", unit = "ms" }, or with --column t=stamp:ms',
-    )
+    cure = 'Say so in a map, such as t = { column = "stamp", unit = "ms" }, or with --column t=stamp:ms'
+    require(known, where, f"which column is t? Columns: {', '.join(table.columns)}. {cure}")
     return known[0]
 
 

@@ -141,15 +141,11 @@ class Decoder:
         """The signals of all frames that the DBC knows; a note names the others."""
         require(self.seen, str(path), f"no CAN frames in it{'; ' + notes[-1] if notes else ''}")
         seen = ", ".join(f"0x{frame:X} ({count})" for (frame, _), count in sorted(self.seen.items())[:12])
-        require(
-            self._dbc,
-            str(path),
-            f"CAN frames of {len(self.seen)} identifiers ({seen}{', ...' if len(self.seen) > 12 else ''}); say what is "
-            "in them with --dbc FILE.dbc, or --dbc NAME of the package opendbc, such as toyota_nodsu_pt_generated",
-        )
-        require(
-            self._rows, str(path), f"none of its identifiers ({seen}) is in {', '.join(self._dbc)}: of another car?"
-        )
+        held = f"CAN frames of {len(self.seen)} identifiers ({seen}{', ...' if len(self.seen) > 12 else ''})"
+        cure = "--dbc FILE.dbc, or --dbc NAME of the package opendbc, such as toyota_nodsu_pt_generated"
+        require(self._dbc, str(path), f"{held}; say what is in them with {cure}")
+        other = f"none of its identifiers ({seen}) is in {', '.join(self._dbc)}: of another car?"
+        require(self._rows, str(path), other)
         unknown = [f"0x{frame:X}" for frame, extended in sorted(self.seen) if (frame, extended) not in self._messages]
         if unknown:
             some = ", ".join(unknown[:8]) + (", ..." if len(unknown) > 8 else "")

@@ -144,12 +144,8 @@ class ColumnMap:
             for key in given:
                 known(key, ("column", "unit", "scale", "offset"), f"{where}: key of {quantity}")
             require("column" in given, where, f"{quantity} = {entry!r}; give a name or {{ column = ..., unit = ... }}")
-            columns[quantity] = Column(
-                str(given["column"]),
-                str(given.get("unit", "")),
-                float(given.get("scale", 1.0)),
-                float(given.get("offset", 0.0)),
-            )
+            unit, scale, offset = given.get("unit", ""), given.get("scale", 1.0), given.get("offset", 0.0)
+            columns[quantity] = Column(str(given["column"]), str(unit), float(scale), float(offset))
             columns[quantity].factor(quantity, where)
         return cls(columns)
 
@@ -187,12 +183,9 @@ class ColumnMap:
         missing = [] if {"delta_sw", "delta"} & columns.keys() else ["delta_sw"]
         missing += [] if "v" in columns else ["v"]
         missing += [] if {"r", "psi"} & columns.keys() else ["r or psi"]
-        require(
-            not missing,
-            where,
-            f"which column is {', '.join(missing)}? Columns: {', '.join(channels)}. Say so in a map, such as "
-            'delta_sw = { column = "steering_angle", unit = "deg" }, or with --column delta_sw=steering_angle:deg',
-        )
+        which = f"which column is {', '.join(missing)}? Columns: {', '.join(channels)}. Say so in a map, such as "
+        cure = 'delta_sw = { column = "steering_angle", unit = "deg" }, or with --column delta_sw=steering_angle:deg'
+        require(not missing, where, which + cure)
         return ColumnMap(columns)
 
     def text(self) -> str:

@@ -169,6 +169,8 @@ SCALE_WINDOW, SCALE_UNKNOWN = 5.0, 0.05
 """A gyro is compared with the heading over so long [s]; standard deviation of its scale where there is none [1]."""
 HEADING_WINDOW = 0.2
 """Length of the parabola whose slope is the yaw rate, where only the heading was recorded [s]."""
+_SPLIT = "split the file there, and read each part with its own unit"
+_GO_ON = "To go on as it is: trusted=True (identify: --trust-units)"
 _STRAIGHT = "it hardly turns: units and signs cannot be judged, and nothing can be identified; add bends"
 PLAUSIBLE = (15.0, 120.0)
 """Steering-wheel angle over curvature, n (L + K v^2) [m], that a road car can have."""
@@ -318,16 +320,13 @@ def _whole_rows(columns: dict[str, Array], name: str, remarks: list[str]) -> dic
         rough, smooth = (float(np.abs(np.diff(columns["v"][rows])).sum()) for rows in (slice(None), order))
         if smooth > 1.5 * rough + 1.0:
             row = int(np.argmax(np.diff(t) < 0.0)) + 1
-            raise ValueError(
-                f"{name}: time runs back at row {row} (from {t[row - 1]:.6g} to {t[row]:.6g} s), and sorting would mix "
-                "two recordings: they lie one after the other in this file; split it there"
-            )
+            what = f"time runs back at row {row} (from {t[row - 1]:.6g} to {t[row]:.6g} s)"
+            cure = "they lie one after the other in this file; split it there"
+            raise ValueError(f"{name}: {what}, and sorting would mix two recordings: {cure}")
         _keep(columns, order)
         reverse = back > 0.9 * (len(t) - 1)
-        how = (
-            "turned round, as its time falls from row to row" if reverse else f"sorted by time: {back} times a row was"
-        )
-        remarks.append(how if reverse else f"{how} earlier than the one before")
+        some = f"sorted by time: {back} times a row was earlier than the one before"
+        remarks.append("turned round, as its time falls from row to row" if reverse else some)
     new = np.concatenate(([True], np.diff(columns["t"]) > 0.0))
     if not new.all():
         _keep(columns, new)
@@ -347,14 +346,10 @@ def _steps(t: Array, name: str, remarks: list[str]) -> tuple[float, NDArray[np.i
     gaps = np.flatnonzero(steps > max(5.0 * step, 0.25))
     if len(gaps):
         lost, share = float(steps[gaps].sum()), float(steps[gaps].sum() / (t[-1] - t[0]))
-        require(
-            share <= 0.5,
-            name,
-            f"{lost:.0f} s of {t[-1] - t[0]:.0f} s are gaps: too little is left; is t the right column, in seconds?",
-        )
-        remarks.append(
-            f"{len(gaps)} gaps, {lost:.1f} s in all (the longest {steps.max():.1f} s): bridged, not compared"
-        )
+        few = f"{lost:.0f} s of {t[-1] - t[0]:.0f} s are gaps: too little is left"
+        require(share <= 0.5, name, f"{few}; is t the right column, in seconds?")
+        longest = f"(the longest {steps.max():.1f} s)"
+        remarks.append(f"{len(gaps)} gaps, {lost:.1f} s in all {longest}: bridged, not compared")
     return step, gaps
 
 
@@ -381,11 +376,8 @@ def _check_units(columns: dict[str, Array], name: str) -> None:
         for row in rows:
             near = (np.median(size[max(row - 8, 0) : row]), np.median(size[row : row + 8]))
             if abs(max(near) / max(min(near), 1e-9) / factor - 1.0) < 0.2:
-                raise ValueError(
-                    f"{name}: {quantity} goes from {size[row - 1]:.4g} to {size[row]:.4g} at row {row} of numbers "
-                    f"(t = {t[row]:.6g} s): its unit changes there between {what}; split the file there, and read each "
-                    "part with its own unit"
-                )
+                change = f"from {size[row - 1]:.4g} to {size[row]:.4g} at row {row} of numbers (t = {t[row]:.6g} s)"
+                raise ValueError(f"{name}: {quantity} goes {change}: its unit changes there between {what}; {_SPLIT}")
 
 
 def _check_ranges(columns: dict[str, Array], name: str) -> None:
@@ -395,22 +387,14 @@ def _check_ranges(columns: dict[str, Array], name: str) -> None:
     limits = {"delta_sw": (17.5, "rad", "deg"), "v": (100.0, "m/s", "km/h"), "r": (fastest, "rad/s", "deg/s")}
     for quantity, (high, unit, likely) in limits.items():
         largest = float(np.abs(columns.get(quantity, np.zeros(1))).max())
-        require(
-            largest <= high,
-            name,
-            f"{quantity} reaches {largest:.4g} {unit}, expected {high:g} at most; is it in {likely}? Say "
-            f'unit = "{likely}" in the column map',
-        )
+        cure = f'is it in {likely}? Say unit = "{likely}" in the column map'
+        require(largest <= high, name, f"{quantity} reaches {largest:.4g} {unit}, expected {high:g} at most; {cure}")
     lowest = float(columns["v"].min())
-    require(
-        lowest >= -1.0, name, f"v falls to {lowest:.3g} m/s: reversing is not modelled; cut it out, or mind v's sign"
-    )
+    backwards = f"v falls to {lowest:.3g} m/s: reversing is not modelled; cut it out, or mind v's sign"
+    require(lowest >= -1.0, name, backwards)
     jumps = np.abs(np.diff(columns.get("psi", np.zeros(2))))
-    require(
-        not (np.abs(jumps - 360.0) < 30.0).any(),
-        name,
-        'psi jumps by 360: it is in deg; say unit = "deg" in the column map',
-    )
+    degrees = 'psi jumps by 360: it is in deg; say unit = "deg" in the column map'
+    require((np.abs(jumps - 360.0) >= 30.0).all(), name, degrees)
 
 
 def _resampled(columns: dict[str, Array], dt: float, step: float) -> dict[str, Array]:
@@ -464,10 +448,8 @@ def _yaw_rate(
     gain, correlation = _line(turned, shown)
     if not trusted and not 0.8 < gain < 1.25:
         fault = "has the other sign than" if gain < 0.0 else f"is {gain:.3g} times"
-        raise ValueError(
-            f"{name}: the yaw rate {fault} the heading's rate of change; mind unit and sign of r and psi in the column "
-            "map (a compass turns clockwise: scale = -1)"
-        )
+        cure = "mind unit and sign of r and psi in the column map (a compass turns clockwise: scale = -1)"
+        raise ValueError(f"{name}: the yaw rate {fault} the heading's rate of change; {cure}")
     independent = max(2.0, len(shown) / n - 2.0)
     deviation = float(np.sqrt(max(0.0, 1.0 - correlation**2) / independent) / max(abs(correlation), 0.1))
     scale = gain if 3.0 * deviation < abs(gain - 1.0) < 0.25 and abs(gain - 1.0) > 0.01 else 1.0
@@ -505,11 +487,9 @@ def _check_speeds_unit(drive: Drive, t: Array) -> None:
     if best < least:
         row = int(np.searchsorted(t - t[0], drive.t[at[k]]))
         now, then = ("m/s", "km/h") if factor > 1.0 else ("km/h", "m/s")
-        raise ValueError(
-            f"{drive.name}: v goes with the wheel's angle and the yaw rate as if its unit changed from {then} to {now} "
-            f"at a stop before row {row} of numbers (t = {t[row]:.6g} s); split the file there, and read each part "
-            "with its own unit. To go on as it is: trusted=True (identify: --trust-units)"
-        )
+        change = f"from {then} to {now} at a stop before row {row} of numbers (t = {t[row]:.6g} s)"
+        what = f"v goes with the wheel's angle and the yaw rate as if its unit changed {change}"
+        raise ValueError(f"{drive.name}: {what}; {_SPLIT}. {_GO_ON}")
 
 
 def _check_plausible(drive: Drive) -> None:
@@ -518,11 +498,8 @@ def _check_plausible(drive: Drive) -> None:
     if not drive.turns:
         return
     slope, correlation = _line(drive.r[use] / drive.v[use], drive.delta_sw[use])
-    require(
-        abs(correlation) > 0.7,
-        drive.name,
-        f"steering and curvature r/v go together by {correlation:.2f} only (1: fully); wrong columns or clocks?",
-    )
+    apart = f"steering and curvature r/v go together by {correlation:.2f} only (1: fully); wrong columns or clocks?"
+    require(abs(correlation) > 0.7, drive.name, apart)
     small = _is_small(drive.r, drive.v)
     if (0.1 if small else PLAUSIBLE[0]) <= slope <= PLAUSIBLE[1]:
         return
@@ -542,10 +519,8 @@ def _check_plausible(drive: Drive) -> None:
         if 20.0 <= flip * slope * factor <= 90.0
     ]
     likely = f"; perhaps {'; or '.join(fits)}" if fits else ""
-    raise ValueError(
-        f"{drive.name}: delta_sw/curvature is {slope:.4g} m, a road car has {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} m "
-        f"(steering ratio times wheelbase){likely}. To go on as it is: trusted=True (identify: --trust-units)"
-    )
+    usual = f"a road car has {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} m (steering ratio times wheelbase)"
+    raise ValueError(f"{drive.name}: delta_sw/curvature is {slope:.4g} m, {usual}{likely}. {_GO_ON}")
 
 
 LATEST, EARLIEST = 0.7, -0.3

@@ -143,9 +143,8 @@ class Server(Topics):
         try:
             self._server = self.sdk.start_server(**about, context=self.context)
         except (RuntimeError, OverflowError) as error:
-            raise ValueError(
-                f"stream at {where}: {str(error).removeprefix('FoxgloveError: ')}; choose another port, or 0 for any"
-            ) from error
+            what = str(error).removeprefix("FoxgloveError: ")
+            raise ValueError(f"stream at {where}: {what}; choose another port, or 0 for any") from error
         self.address = f"ws://{f'[{host}]' if ':' in host else host}:{self._server.port}"
 
     def end(self) -> None:
@@ -158,8 +157,7 @@ class Server(Topics):
 
 
 def to_mcap(log: Log | Drive, file: str | Path) -> dict[str, int]:
-    """Write a log as MCAP with a topic a group (`/car`, `/path`, `/wheel`, `/signals/...`) in JSON; returns messages by
-    topic.
+    """Write a log as MCAP, in JSON; returns messages by topic.
 
     Numbers come back bit for bit, NaN and infinity as null. Raises ValueError for a batch, and without foxglove-sdk.
     """

@@ -169,9 +169,8 @@ def read_own(path: Path, dbc: tuple[str, ...], notes: list[str]) -> list[Channel
             series.setdefault(name, []).append((min(frame["arrived"], frame["t"]), value))
     if bad:
         notes.append(f"left out {bad} frames that were broken or held no value")
-    require(
-        {"delta_sw", "v"} <= set(series), str(path), f"no steering angle or speed; read: {', '.join(series) or 'none'}"
-    )
+    lacks = f"no steering angle or speed; read: {', '.join(series) or 'none'}"
+    require({"delta_sw", "v"} <= set(series), str(path), lacks)
     channels = []
     for name, points in series.items():
         t, values = np.array(points).T

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from steerkit._support.errors import require
 from steerkit._support.files import write_text
 from steerkit.diagram import maths as m
 from steerkit.diagram.maths import Array, Scalar, Table
@@ -18,6 +19,7 @@ from steerkit.paths.waypoints import checked, placed, ring, travelled
 _DEGREE = 5  # curvature and its first two derivatives are continuous
 _FEWEST_SEGMENTS = 12  # a periodic quintic needs some
 _OFF = 0.01  # largest distance between the waypoints' spline and the path, in segments
+_FINER = "give a smaller spacing, or smoothing > 0 for noisy points"
 _UNEVEN = 1e-3  # largest | |c'| - 1 | that still deserves the name arc length
 
 
@@ -72,10 +74,9 @@ class Path:
         """
         where = f"Path '{name}'"
         points = checked(np.asarray(xy, dtype=float), where)
-        if not (math.isfinite(smoothing) and smoothing >= 0.0 and math.isfinite(spacing) and spacing > 0.0):
-            raise ValueError(
-                f"{where}: smoothing {smoothing} [m], spacing {spacing} [m], expected smoothing >= 0 and spacing > 0"
-            )
+        given = f"smoothing {smoothing} [m], spacing {spacing} [m]"
+        fits = 0.0 <= smoothing < math.inf and 0.0 < spacing < math.inf
+        require(fits, where, f"{given}, expected smoothing >= 0 and spacing > 0")
         if closed:
             points = ring(points, where)
         u = travelled(points)
@@ -84,11 +85,8 @@ class Path:
             curve, end, n = _even(curve, end, closed, spacing, where)
         h = end / n
         uneven = float(np.abs(np.hypot(*curve((np.arange(8 * n) + 0.5) * h / 8.0, 1).T) - 1.0).max())
-        if uneven > _UNEVEN:
-            raise ValueError(
-                f"{where}: arc length is uneven by {uneven:.2g}, expected at most {_UNEVEN:g}: a bend is too "
-                f"tight for spacing {h:.3g} [m]; give a smaller spacing, or smoothing > 0 for noisy points"
-            )
+        what = f"arc length is uneven by {uneven:.2g}, expected at most {_UNEVEN:g}: a bend is too tight for spacing"
+        require(uneven <= _UNEVEN, where, f"{what} {h:.3g} [m]; {_FINER}")
         middle = (np.arange(n) + 0.5) * h
         rows = np.stack([curve(middle, k) / math.factorial(k) for k in range(_DEGREE + 1)])  # (k, n, xy)
         return cls(table=Table(rows.transpose(1, 2, 0).reshape(n, -1)), length=end, closed=closed, name=name)
@@ -254,8 +252,6 @@ def _even(curve: Any, end: float, closed: bool, spacing: float, where: str) -> t
     off = np.hypot(*(even(s) - curve(u)).T)
     if float(off.max()) > _OFF * length / n:
         x, y = curve(u[off.argmax()])
-        raise ValueError(
-            f"{where}: has detail near ({x:.2f}, {y:.2f}) [m] too fine for spacing {length / n:.3g} [m] "
-            f"({off.max():.2g} m are lost); give a smaller spacing, or smoothing > 0 for noisy points"
-        )
+        what = f"too fine for spacing {length / n:.3g} [m] ({off.max():.2g} m are lost)"
+        raise ValueError(f"{where}: has detail near ({x:.2f}, {y:.2f}) [m] {what}; {_FINER}")
     return even, length, n

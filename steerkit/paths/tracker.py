@@ -92,12 +92,8 @@ class PathTracker(Block):
             return self.X(s, 0.0)
         pose = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, dtype=float)) for a in (px, py, u.psi)))
         lost = np.flatnonzero(~np.isfinite(pose).all(axis=0))
-        require(
-            not lost.size,
-            "PathTracker",
-            f"pose x, y [m], psi [rad] of car {', '.join(map(str, lost[:5]))} at the start, expected finite numbers; "
-            "check what drives x, y and psi",
-        )
+        whose = f"pose x, y [m], psi [rad] of car {', '.join(map(str, lost[:5]))} at the start"
+        require(not lost.size, "PathTracker", f"{whose}, expected finite numbers; check what drives x, y and psi")
         cars = len(pose[0])
         groups = [slice(k, k + _CARS_AT_ONCE) for k in range(0, cars, _CARS_AT_ONCE)]
         s = np.concatenate([self._nearest(*(a[group] for a in pose)) for group in groups])

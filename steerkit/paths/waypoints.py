@@ -113,9 +113,8 @@ def stated(text: str) -> tuple[bool, float] | None:
 
 def check_stated(said: float, length: float, apart: float, where: str) -> None:
     """ValueError where a file's points make another length than its first line says, by more than `apart` [m]."""
-    if abs(length - said) > apart:
-        what = f"its first line says {said:g} m, its points make {length:.1f} m: cut short, or changed by hand"
-        raise ValueError(f"{where}: {what}; write it again, or delete that line")
+    what = f"its first line says {said:g} m, its points make {length:.1f} m: cut short, or changed by hand"
+    require(abs(length - said) <= apart, where, f"{what}; write it again, or delete that line")
 
 
 def distances(points: Array) -> Array:
@@ -134,25 +133,20 @@ def _few(indices: NDArray[np.intp]) -> str:
 
 def checked(points: Array, where: str) -> Array:
     """The waypoints (n, 2) [m]; ValueError, in the name of `where`, for such as no path leads along."""
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise ValueError(f"{where}: waypoints of shape {points.shape}, expected (n, 2): one row (x, y) [m] a point")
-    if len(points) < 2:
-        raise ValueError(f"{where}: {len(points)} waypoints, expected at least 2 (open) or {_FEWEST_CLOSED} (closed)")
+    shaped = points.ndim == 2 and points.shape[1] == 2
+    require(shaped, where, f"waypoints of shape {points.shape}, expected (n, 2): one row (x, y) [m] a point")
+    few = f"{len(points)} waypoints, expected at least 2 (open) or {_FEWEST_CLOSED} (closed)"
+    require(len(points) >= 2, where, few)
     broken = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if broken.size:
         at = tuple(points[broken[0]].tolist())
         raise ValueError(f"{where}: waypoint {_few(broken)} not finite (the first is {at}) [m], expected numbers")
-    if float(np.ptp(points, axis=0).max()) < 0.1:
-        raise ValueError(
-            f"{where}: all waypoints within {np.ptp(points, axis=0).max():.3g} m, expected metres; "
-            "for latitudes and longitudes in degrees use Path.from_gps"
-        )
+    size = float(np.ptp(points, axis=0).max())
+    cure = "for latitudes and longitudes in degrees use Path.from_gps"
+    require(size >= 0.1, where, f"all waypoints within {size:.3g} m, expected metres; {cure}")
     same = np.flatnonzero(distances(points) < 1e-9) + 1
-    if same.size:
-        raise ValueError(
-            f"{where}: waypoint {_few(same)} repeats the one before it (a car at rest?), expected distinct points; "
-            "keep xy[np.r_[True, np.hypot(*np.diff(xy, axis=0).T) > 0.05]]"
-        )
+    what = f"waypoint {_few(same)} repeats the one before it (a car at rest?), expected distinct points"
+    require(not same.size, where, f"{what}; keep xy[np.r_[True, np.hypot(*np.diff(xy, axis=0).T) > 0.05]]")
     return points
 
 
@@ -162,40 +156,33 @@ def ring(points: Array, where: str) -> Array:
     if gap < 1e-3 * float(np.median(steps)):
         points, steps = points[:-1], steps[:-1]
         gap = math.dist(points[0], points[-1])
-    if len(points) < _FEWEST_CLOSED:
-        raise ValueError(f"{where}: {len(points)} distinct waypoints, expected at least {_FEWEST_CLOSED} when closed")
-    if gap > 3.0 * float(steps.max()):
-        raise ValueError(
-            f"{where}: closed, but its ends are {gap:.3g} m apart where neighbours are at most {steps.max():.3g} m; "
-            "use closed=False, or add waypoints that bridge the gap"
-        )
+    few = f"{len(points)} distinct waypoints, expected at least {_FEWEST_CLOSED} when closed"
+    require(len(points) >= _FEWEST_CLOSED, where, few)
+    apart = f"closed, but its ends are {gap:.3g} m apart where neighbours are at most {steps.max():.3g} m"
+    require(gap <= 3.0 * steps.max(), where, f"{apart}; use closed=False, or add waypoints that bridge the gap")
     back = points[0] - points[-1]
     ends = np.array([points[-1] - points[-2], points[1] - points[0]])
     if (ends @ back < -0.5 * np.hypot(*ends.T) * gap).all():
         near = len(points) // 2 + int(np.argmin(np.hypot(*(points[len(points) // 2 :] - points[0]).T)))
-        raise ValueError(
-            f"{where}: closed, but its end overlaps its start by {gap:.3g} m; cut it to the first {near} waypoints, "
-            "where it comes back to its start"
-        )
+        cure = f"cut it to the first {near} waypoints, where it comes back to its start"
+        raise ValueError(f"{where}: closed, but its end overlaps its start by {gap:.3g} m; {cure}")
     return np.vstack((points, points[:1]))
 
 
 def check_gps(lat: Array, lon: Array, where: str) -> None:
     """ValueError, in the name of `where`, unless these are positions in degrees."""
-    if lat.ndim != 1 or lat.shape != lon.shape or not lat.size:
-        raise ValueError(f"{where}: lat of shape {lat.shape}, lon of shape {lon.shape}, expected both (n,)")
+    fits = lat.ndim == 1 and lat.shape == lon.shape and lat.size
+    require(fits, where, f"lat of shape {lat.shape}, lon of shape {lon.shape}, expected both (n,)")
     broken = np.flatnonzero(~(np.isfinite(lat) & np.isfinite(lon)))
-    if broken.size:
-        raise ValueError(f"{where}: position {_few(broken)} not finite [degrees], expected numbers")
+    require(not broken.size, where, f"position {_few(broken)} not finite [degrees], expected numbers")
     wrong = np.flatnonzero((np.abs(lat) > 90.0) | (np.abs(lon) > 180.0))
     if wrong.size:
         k = wrong[0]
         swapped = "; swapped?" if np.abs(lat).max() <= 180.0 and np.abs(lon).max() <= 90.0 else ""
-        raise ValueError(
-            f"{where}: position {k}: lat {lat[k]:g}, lon {lon[k]:g} [degrees], expected -90..90 and -180..180{swapped}"
-        )
-    if np.abs(lat).max() <= math.pi / 2.0 and np.abs(lon).max() <= math.pi:  # open sea, if they were degrees
-        raise ValueError(f"{where}: lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
+        at = f"position {k}: lat {lat[k]:g}, lon {lon[k]:g} [degrees]"
+        raise ValueError(f"{where}: {at}, expected -90..90 and -180..180{swapped}")
+    degrees = np.abs(lat).max() > math.pi / 2.0 or np.abs(lon).max() > math.pi  # else they would be open sea
+    require(degrees, where, f"lat {lat[0]:g}, lon {lon[0]:g} look like radians, expected degrees")
 
 
 def east_north(lat_deg: NDArray[Any], lon_deg: NDArray[Any], origin_deg: tuple[float, float]) -> Array:
@@ -209,8 +196,8 @@ def placed(columns: Mapping[str, Array], where: str) -> tuple[Array, tuple[float
     """Columns x, y [m] or lat, lon [degrees] as metres (n, 2), and where x = y = 0 is [degrees], if that is known."""
     if {"x", "y"} <= columns.keys():
         return np.column_stack((columns["x"], columns["y"])), None
-    if not {"lat", "lon"} <= columns.keys():
-        raise ValueError(f"{where}: columns {', '.join(columns)}; valid: x, y [m] or lat, lon [degrees]")
+    known = {"lat", "lon"} <= columns.keys()
+    require(known, where, f"columns {', '.join(columns)}; valid: x, y [m] or lat, lon [degrees]")
     lat, lon = columns["lat"], columns["lon"]
     check_gps(lat, lon, where)
     origin = float(lat[0]), float(lon[0])
@@ -247,9 +234,8 @@ def stray_ends(
         left = steps[::way][:2] - 30.0 > FASTEST * late
         if (step > most and not ahead) or (left[0] and not left[1]):
             where = f"({a[end]:g}, {b[end]:g}) [{'m' if flat else 'degrees'}]"
-            found[end] = (
-                f"{where} lies {step:.0f} m from the {'next' if way > 0 else 'last'} position, as no car drives"
-            )
+            beside = "next" if way > 0 else "last"
+            found[end] = f"{where} lies {step:.0f} m from the {beside} position, as no car drives"
     return found
 
 
@@ -263,15 +249,14 @@ def check_metres(xy: Array, where: str) -> None:
     if len(xy) < 2:
         return
     size = float(np.ptp(xy, axis=0).max())
-    if size < _SMALL:
-        raise ValueError(f"{where}: all of it within {size:.3g} m, expected metres; kilometres? multiply x, y by 1000")
+    small = f"all of it within {size:.3g} m, expected metres; kilometres? multiply x, y by 1000"
+    require(size >= _SMALL, where, small)
     steps = distances(xy)
     step = float(np.median(steps))
-    if len(xy) >= _MANY and step > _FAR:
-        what = f"its points are {step:.0f} m apart (median), expected at most {_FAR:.0f} m"
-        raise ValueError(f"{where}: {what}; millimetres? divide x, y by 1000")
+    apart = f"its points are {step:.0f} m apart (median), expected at most {_FAR:.0f} m"
+    require(len(xy) < _MANY or step <= _FAR, where, f"{apart}; millimetres? divide x, y by 1000")
     bends = np.abs(np.diff(np.unwrap(np.arctan2(*np.diff(xy, axis=0).T[::-1]))))
     tightest = float((bends / (0.5 * (steps[1:] + steps[:-1]))).max(initial=0.0))
-    if bends.sum() > np.pi and tightest < 1.0 / _WIDE:
-        what = f"it turns by {bends.sum():.1f} rad without a bend tighter than {1.0 / max(tightest, 1e-9):.0f} m"
-        raise ValueError(f"{where}: {what}, expected metres; millimetres? divide x, y by 1000")
+    wide = f"it turns by {bends.sum():.1f} rad without a bend tighter than {1.0 / max(tightest, 1e-9):.0f} m"
+    fits = bends.sum() <= np.pi or tightest >= 1.0 / _WIDE
+    require(fits, where, f"{wide}, expected metres; millimetres? divide x, y by 1000")

@@ -24,7 +24,7 @@ LENGTH, WIDTH = 1.75, 0.66
 _WHEEL = (0.24, 0.085)
 _WHO = ("learned", "analytic")  # colours of the learner, or of whoever drives alone, and of the recovery controller
 _TALL = 0.56  # height of what is seen over its width
-_LASTS = 15.0  # [s] the film, unless a speed is given
+_LASTS = 15.0  # [s] the film
 
 
 def film_writer(file: str | File) -> Any:
@@ -48,7 +48,6 @@ def animate(
     file: str | File,
     *,
     vehicle: Vehicle = VW_PASSAT,
-    speed: float | None = None,
     fps: float = 12.0,
     moments: Sequence[float] | np.ndarray | None = None,
     progress: bool = False,
@@ -57,17 +56,15 @@ def animate(
 
     log: with car.x, car.y, car.psi, and, if they are there, car.v, car.delta_sw, a tracker's e and whether a learner
     steers (supervisor.learning). path: what the car should follow, or None. vehicle: the car, where the log does not
-    know its own. speed: how many seconds of the run one second of film shows (default: so many that it lasts 15 s, 1 at
-    least). fps: pictures a second. moments: the time of each picture [s], two at least, instead of even steps. Returns
-    the file. Raises ValueError for another kind of file, a log without a car or of several, or an MP4 without ffmpeg.
+    know its own. fps: pictures a second. moments: the time of each picture [s], two at least; default: even steps in
+    real time, or faster for the film to last 15 s. Returns the file. Raises ValueError for another kind of file, a log
+    without a car or of several, or an MP4 without ffmpeg.
     """
     film_file = File(file)
     film = film_writer(film_file)
     require(1.0 <= fps <= 60.0, "animate", f"fps = {fps}, expected 1 to 60")
     run = Moments.of_log(log)
-    if speed is None:
-        speed = max(1.0, (log.t[-1] - log.t[0]) / _LASTS)
-    require(speed > 0.0, "animate", f"speed = {speed}, expected a number > 0")
+    speed = max(1.0, (log.t[-1] - log.t[0]) / _LASTS)
     if moments is None:
         moments = np.arange(log.t[0], log.t[-1] + 1e-9, speed / fps)
     speeds = fps * np.diff(moments, prepend=2.0 * moments[0] - moments[1]) if len(moments) > 1 else [speed]

@@ -157,15 +157,8 @@ def found(manoeuvre: Manoeuvre, drive: Drive) -> tuple[Manoeuvre, list[Run], lis
         count[side] += 1
         part = slice(max(begin - settle, 0), end)
         gap = "" if drive.measured[part].all() else "samples are missing"
-        runs.append(
-            Run(
-                t=drive.t[part] - drive.t[begin],
-                signals={key: value[part] for key, value in signals.items()},
-                side=side,
-                number=count[side],
-                invalid=gap,
-            )
-        )
+        t, cut = drive.t[part] - drive.t[begin], {key: value[part] for key, value in signals.items()}
+        runs.append(Run(t=t, signals=cut, side=side, number=count[side], invalid=gap))
     return driven, runs, notes
 
 

@@ -5,7 +5,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path as FilePath
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -35,9 +34,11 @@ END_MARGIN = 5.0
 REFERENCES = ("front", "cg", "own")
 Table = Mapping[str, Any]
 _HARD: Table = {"sensors": {"noise": 1.0, "latency": 0.05}, "steering": {"lag": 0.15}}
-CONDITIONS: Mapping[str, Table] = MappingProxyType(
-    {"clean": {}, "hard": _HARD, "real": {**_HARD, "sensors": {**_HARD["sensors"], "kind": "real"}}}
-)
+CONDITIONS: Mapping[str, Table] = {
+    "clean": {},
+    "hard": _HARD,
+    "real": {**_HARD, "sensors": {**_HARD["sensors"], "kind": "real"}},
+}
 """Named disturbances: tables of a scenario. `hard`: 1 cm of noise, 50 ms of sensor delay, a slower motor; `real`: also
 a noisy speed, no sideslip, late and lost samples, jumps, a heading that wanders (`Sensors.real`)."""
 _SLOWEST = 4.0  # m/s: the speed of a careful driver in the tightest bend of all courses, 5.9 m

@@ -74,13 +74,11 @@ def steering_loop(
         if given[role] is not None or role in ("car", "driver", "controller"):
             require_block(given[role], "steering_loop", role, example)
     learns = "action" in _names(controller.outputs)
-    if learns == (doe is None):
-        kind = type(controller).__name__
-        raise WiringError(
-            f"{kind} picks actions and needs a doe such as Integrator()"
-            if learns
-            else f"{kind} steers by itself (it has no output 'action'); leave doe out"
-        )
+    if learns and doe is None:
+        raise WiringError(f"{type(controller).__name__} picks actions and needs a doe such as Integrator()")
+    if doe is not None and not learns:
+        alone = "steers by itself (it has no output 'action'); leave doe out"
+        raise WiringError(f"{type(controller).__name__} {alone}")
     for role in ("supervisor", "foresight"):
         if given[role] is not None and recovery is None:
             raise WiringError(f"{role} without a recovery controller; give recovery, such as Stanley.of(vehicle)")
@@ -185,10 +183,9 @@ def _corrected(doe: Block) -> Block:
     if doe.inputs and all(port.direct for port in doe.inputs if port.name == "applied"):
         return doe
     if not isinstance(doe, OutputElement):
-        raise WiringError(
-            f"{type(doe).__name__} remembers the angle that it asked for, and this car reports another (its output "
-            "'applied'); make it a OutputElement, or its input 'applied' direct, as Corrected does"
-        )
+        what = "remembers the angle that it asked for, and this car reports another (its output 'applied')"
+        cure = "make it a OutputElement, or its input 'applied' direct, as Corrected does"
+        raise WiringError(f"{type(doe).__name__} {what}; {cure}")
     return Corrected(element=doe)
 
 
@@ -260,11 +257,9 @@ class _Bench:
             elif name in _names(seen.outputs):
                 self.wire(seen, name, block, name)
             else:
-                known = [*_names(tracker.outputs), *_names(seen.outputs), "delta_sw_meas", "doe"]
-                raise WiringError(
-                    f"{type(block).__name__}.{name}: no signal of that name; known: {', '.join(known)}; "
-                    "wire the loop by hand for others"
-                )
+                known = ", ".join([*_names(tracker.outputs), *_names(seen.outputs), "delta_sw_meas", "doe"])
+                what = f"no signal of that name; known: {known}; wire the loop by hand for others"
+                raise WiringError(f"{type(block).__name__}.{name}: {what}")
 
 
 def _names(ports: Iterable[In | Out]) -> list[str]:

@@ -5,7 +5,6 @@ import math
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
-from types import MappingProxyType
 from typing import Any, TypeVar
 
 from steerkit._support.errors import Checked, in_one_line, known, number, require
@@ -302,29 +301,25 @@ def _adaptive(
 
 
 _LINEAR_MPC = _predictive("MPC")
-CONTROLLERS: Mapping[str, ControllerSpec] = MappingProxyType(
-    {
-        "stanley": ControllerSpec("Stanley, all terms of eq. 9", _stanley),
-        "stanley-textbook": ControllerSpec(
-            "Stanley, heading and cross-track terms only", lambda model: Stanley.textbook(model.vehicle)
-        ),
-        "stanley-delay": ControllerSpec("Stanley behind a predictor of delay and lag", _delayed),
-        "pure-pursuit": ControllerSpec(
-            "pure pursuit, no model", lambda model: PurePursuit.of(model.vehicle, model.path, delay=model.delay)
-        ),
-        "lqr": ControllerSpec("LQR with delay states and curvature preview", _lqr),
-        "mpc": ControllerSpec("linear MPC over 1 s, limits and delay known", _LINEAR_MPC),
-        "nonlinear-mpc": ControllerSpec("nonlinear MPC, real-time iteration", _predictive("NonlinearMPC")),
-        "stanley-offset-free": ControllerSpec("stanley-delay with integral action", _offset_free(_delayed)),
-        "lqr-offset-free": ControllerSpec("LQR with integral action", _offset_free(_lqr)),
-        "mpc-offset-free": ControllerSpec("linear MPC with integral action", _offset_free(_LINEAR_MPC)),
-        "stanley-adaptive": ControllerSpec("stanley-offset-free that adapts", _adaptive(_soft)),
-        "lqr-adaptive": ControllerSpec("lqr-offset-free that adapts", _adaptive(_slow_lqr)),
-        "mpc-adaptive": ControllerSpec(
-            "mpc-offset-free that adapts", _adaptive(_LINEAR_MPC, lag=lambda model: model.lag)
-        ),
-    }
-)
+CONTROLLERS: Mapping[str, ControllerSpec] = {
+    "stanley": ControllerSpec("Stanley, all terms of eq. 9", _stanley),
+    "stanley-textbook": ControllerSpec(
+        "Stanley, heading and cross-track terms only", lambda model: Stanley.textbook(model.vehicle)
+    ),
+    "stanley-delay": ControllerSpec("Stanley behind a predictor of delay and lag", _delayed),
+    "pure-pursuit": ControllerSpec(
+        "pure pursuit, no model", lambda model: PurePursuit.of(model.vehicle, model.path, delay=model.delay)
+    ),
+    "lqr": ControllerSpec("LQR with delay states and curvature preview", _lqr),
+    "mpc": ControllerSpec("linear MPC over 1 s, limits and delay known", _LINEAR_MPC),
+    "nonlinear-mpc": ControllerSpec("nonlinear MPC, real-time iteration", _predictive("NonlinearMPC")),
+    "stanley-offset-free": ControllerSpec("stanley-delay with integral action", _offset_free(_delayed)),
+    "lqr-offset-free": ControllerSpec("LQR with integral action", _offset_free(_lqr)),
+    "mpc-offset-free": ControllerSpec("linear MPC with integral action", _offset_free(_LINEAR_MPC)),
+    "stanley-adaptive": ControllerSpec("stanley-offset-free that adapts", _adaptive(_soft)),
+    "lqr-adaptive": ControllerSpec("lqr-offset-free that adapts", _adaptive(_slow_lqr)),
+    "mpc-adaptive": ControllerSpec("mpc-offset-free that adapts", _adaptive(_LINEAR_MPC, lag=lambda model: model.lag)),
+}
 """The analytic controllers: they steer by themselves and learn nothing."""
 OWN = "my_file.py:make, package.module:make"
 """What may stand for a controller's name besides: see `make_controller`."""
@@ -334,13 +329,9 @@ ADAPTIVE = "adaptive"
 """The recovery controller that needs neither dead time nor ratio: it finds them while it or the learner steers."""
 RECOVERIES = (AUTO, ADAPTIVE, "stanley", "stanley-delay")
 """Names of the recovery controllers: those that may take over from any state of the car."""
-ELEMENTS: Mapping[str, type[OutputElement]] = MappingProxyType(
-    {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
-)
+ELEMENTS: Mapping[str, type[OutputElement]] = {"integrator": Integrator, "low-pass": LowPass, "plain": PlainAngle}
 """The dynamic output elements."""
-PLANTS: Mapping[str, type[SingleTrack]] = MappingProxyType(
-    {"nonlinear": NonlinearSingleTrack, "linear": LinearSingleTrack}
-)
+PLANTS: Mapping[str, type[SingleTrack]] = {"nonlinear": NonlinearSingleTrack, "linear": LinearSingleTrack}
 """The simulated cars."""
 
 
@@ -363,11 +354,8 @@ def _trimmed(block: Block, design_model: DesignModel) -> Block:
 
 def _own(name: str, design_model: DesignModel) -> Block:
     make, where = imported(name, "controller"), f"controller '{name}'"
-    require(
-        callable(make),
-        where,
-        f"of type {type(make).__name__}, expected a function of a DesignModel that returns a Block",
-    )
+    other = f"of type {type(make).__name__}, expected a function of a DesignModel that returns a Block"
+    require(callable(make), where, other)
     try:
         block = make(design_model)
     except Exception as error:

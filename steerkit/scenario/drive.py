@@ -12,7 +12,7 @@ from rich.table import Table
 
 from steerkit._support.console import shown
 from steerkit._support.errors import known, require
-from steerkit.compiled import Backend, compile
+from steerkit.compiled import compile
 from steerkit.compiled.trace import parameter, replaced, with_parameters
 from steerkit.controllers.supervisor import Supervisor
 from steerkit.diagram.block import Block, state_like
@@ -41,16 +41,15 @@ def assembled(
     recovery: Block | None = None,
     safety: Block | None = None,
     seed: int = 0,
-    s: float | None = None,
 ) -> Loop:
     """The loop of a drive in simulation, whoever drives: learner, test drive, suite or environment.
 
-    controller, doe, recovery, safety: as for `steering_loop`. seed: of driver, sensors, gusts and the link's delays. s:
-    where the car starts [m]; None: where the scenario says. Raises what `steering_loop` raises.
+    controller, doe, recovery, safety: as for `steering_loop`. seed: of driver, sensors, gusts and the link's delays.
+    Raises what `steering_loop` raises.
     """
     path, law = scenario.path(), cast(Any, bare(controller))
     own = scenario.reference == "own" and hasattr(law, "reference")
-    blocks: dict[str, Any] = dict(scenario.blocks(path, scenario.course.start if s is None else s, seed))
+    blocks: dict[str, Any] = dict(scenario.blocks(path, scenario.course.start, seed))
     return steering_loop(
         path=path,
         controller=controller,
@@ -103,15 +102,13 @@ def controller(name: str, scenario: Scenario) -> Block:
     return make_controller(name, scenario.design_model(clock=time.perf_counter))
 
 
-def drive_loop(
-    scenario: Scenario, steering: Block, *, doe: Block | None = None, seed: int = 0, s: float | None = None
-) -> Loop:
+def drive_loop(scenario: Scenario, steering: Block, *, doe: Block | None = None, seed: int = 0) -> Loop:
     """The loop of a test drive: a policy (with its doe) has the scenario's recovery controller behind it."""
     if "ready" not in [port.name for port in steering.outputs]:
-        return assembled(scenario, steering, doe=doe, seed=seed, s=s)
+        return assembled(scenario, steering, doe=doe, seed=seed)
     if "ready_from" in {field.name for field in fields(steering)}:
         steering = replace(steering, ready_from=0.0)  # type: ignore[call-arg]
-    return assembled(scenario, steering, doe=doe, recovery=scenario.recovery_controller(), seed=seed, s=s)
+    return assembled(scenario, steering, doe=doe, recovery=scenario.recovery_controller(), seed=seed)
 
 
 def drive(
@@ -121,7 +118,6 @@ def drive(
     doe: Block | None = None,
     seed: int = 0,
     rounds: float | None = None,
-    s: float | None = None,
     progress: bool = False,
     only_while_held: bool = False,
     each: Callable[[Sample], None] | None = None,
@@ -135,7 +131,7 @@ def drive(
     """
     if rounds is not None:
         scenario = scenario.with_(course={"rounds": rounds})
-    loop = drive_loop(scenario, steering, doe=doe, seed=seed, s=s)
+    loop = drive_loop(scenario, steering, doe=doe, seed=seed)
     length, signs = scenario.length, SignCheck(scenario, loop, steering.dt)
 
     def over(sample: Sample) -> bool:
@@ -189,7 +185,7 @@ def comparison(title: str, logs: Mapping[str, Log]) -> Table:
         row = row_of(name, log)
         row["percent_within_5cm"] = 100.0 * row["share_within_5cm"]
         row |= {norm: "kept" if row[norm] else "not" for norm in _JUDGES}
-        table.add_row(name, "yes" if row["held"] else "no", *(text.format(**row) for text in _COLUMNS.values()))
+        table.add_row(escape(name), "yes" if row["held"] else "no", *(text.format(**row) for text in _COLUMNS.values()))
     return table
 
 
@@ -254,21 +250,18 @@ def sweep(
     loop: Loop,
     values: Mapping[str, Any],
     seconds: float,
-    metrics: Sequence[str | Callable[[Log], float]] = USUAL,
+    metrics: Sequence[str] = USUAL,
     *,
     distance: float = math.inf,
-    record: Sequence[str] = (),
-    backend: Backend = "auto",
     progress: bool = False,
 ) -> Sweep:
     """Drive a loop for `seconds` with every combination of parameter values, and measure each drive.
 
     values: `{"controller.k": [0.5, 1.0, 2.0], ...}`, fields as for `compile(parameters=...)`, of each the values (n,).
-    metrics: names of `steerkit.metrics.TABLE`, for which the loop has the signal names of `steering_loop`; or functions
-    of one car's log, which then holds the signals of `record` too. All drives draw the same random numbers. Logs have
-    20 samples a second. A metric is NaN where the car was lost.
+    metrics: names of `steerkit.metrics.TABLE`, for which the loop has the signal names of `steering_loop`. All drives
+    draw the same random numbers. Logs have 20 samples a second. A metric is NaN where the car was lost.
     distance: what `path.progress` is when a drive is over [m], if that is before `seconds`; for an open course.
-    backend: as for `compile`. progress: show a bar on the terminal.
+    progress: show a bar on the terminal.
 
     Raises ValueError for values refused or without effect, an unknown metric, a bad duration, and what `compile` does.
     """
@@ -280,15 +273,13 @@ def sweep(
         present = parameter(loop, name)
         single = isinstance(present, float | int) and not isinstance(present, bool)
         require(single, "sweep", f"{name} = {present!r:.60}, expected the name of a field that holds one number")
-    named = [known(metric, METRICS, "metric") for metric in metrics if isinstance(metric, str)]
-    names = [metric if isinstance(metric, str) else getattr(metric, "__name__", repr(metric)) for metric in metrics]
-    require(
-        names and len({*names, *points}) == len(names) + len(points), "sweep", f"metrics {names}, expected other names"
-    )
-    quick = {*named} <= {*Summary.__dataclass_fields__}
-    signals = dict.fromkeys([*_SIGNALS * bool(named), *["path.progress"] * math.isfinite(distance), *record])
+    for metric in metrics:
+        known(metric, METRICS, "metric")
+    require(metrics, "sweep", "no metrics, expected one or more")
+    quick = {*metrics} <= {*Summary.__dataclass_fields__}
+    signals = [*_SIGNALS, *["path.progress"] * math.isfinite(distance)]
     grid = {name: a.ravel() for name, a in zip(points, np.meshgrid(*points.values(), indexing="ij"))}
-    ready = compile(loop, backend=backend, record=[*signals], every=max(1, round(DT / loop.dt)), parameters=[*points])
+    ready = compile(loop, record=signals, every=max(1, round(DT / loop.dt)), parameters=[*points])
     for name in ready.trace.unread:
         starts = [with_parameters(loop, {name: v}).init() for v in np.unique(points[name])[[0, -1]].tolist()]
         low, high = (np.array(ready.trace.layout.pack(start.x, start.y), dtype=float) for start in starts)
@@ -301,11 +292,9 @@ def sweep(
         cars = {name: column[first : first + size] for name, column in grid.items()}
         log = ready.run(seconds, state=_start(loop, cars), parameters=cars, allow_nonfinite=True)
         for one in _apart(log, distance):
-            measured: dict[str, float] = {}
-            if named:
-                measured = vars(of_log(one)) if quick else measures_of_log(one)
-            rows.append([measured[metric] if isinstance(metric, str) else metric(one) for metric in metrics])
-    return Sweep(points, grid | dict(zip(names, np.array(rows, dtype=float).T)))
+            measured = vars(of_log(one)) if quick else measures_of_log(one)
+            rows.append([measured[metric] for metric in metrics])
+    return Sweep(points, grid | dict(zip(metrics, np.array(rows, dtype=float).T)))
 
 
 def _start(loop: Loop, cars: Mapping[str, np.ndarray]) -> LoopState:

@@ -113,9 +113,8 @@ class LateralTarget(Block):
         require(name.endswith(".csv"), where, "is not known; valid: drawn-7 (a seed), lap, FILE.csv")
         columns = read_columns(read_text(name, "target"), where)
         missing = {"a_y", "v"} - columns.keys()
-        require(
-            not missing, where, f"no column {', '.join(sorted(missing))}; expected a_y, v, and if need be a_roll, t"
-        )
+        lacks = f"no column {', '.join(sorted(missing))}; expected a_y, v, and if need be a_roll, t"
+        require(not missing, where, lacks)
         n = len(columns["a_y"])
         t = columns.get("t", DT * np.arange(n))
         require((np.diff(t) > 0.0).all(), where, "t [s] does not rise from row to row")

@@ -25,11 +25,9 @@ LITERAL = {
     "steerkit.cli.identify.identify",
     "steerkit.export.c.export_c",
     "steerkit.identification",
-    "steerkit.logs",
     "steerkit.learning.rundir",
     "steerkit.car.learner",
     "steerkit.car.state_machine.step",
-    "steerkit.paths.importers",
 }
 """Docstrings with a program, a list of files or a diagram, announced by `::`."""
 

@@ -16,7 +16,7 @@ import pytest
 from matplotlib.collections import Collection
 from matplotlib.patches import Patch
 
-from steerkit.cli.log import Contents, contents, picture
+from steerkit.cli.log import contents, picture
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log, simulate
 from steerkit.gym.vector_env import Painter
@@ -28,7 +28,7 @@ from steerkit.learning.experiment import Experiment
 from steerkit.learning.learner_state import Episode
 from steerkit.learning.nfq.rprop import new_net
 from steerkit.logs import RawLog
-from steerkit.logs.channels import Channel
+from steerkit.logs.channels import Channel, ColumnMap
 from steerkit.logs.drive import Drive
 from steerkit.logs.resimulate import Resimulated, compared
 from steerkit.plots import animation, diagram, drive, style
@@ -56,7 +56,6 @@ EPISODES = tuple(
     Episode(began=a, progress=5.0 * a, net=1, ended=b, failed=b is not None, distance=30.0)
     for a, b in ((0.0, 3.2), (4.1, 11.7), (13.3, None))
 )
-PARTS: dict[str, Any] = {"experiment": Experiment(scenario=SCENARIO), "policy": NFQ, "path": PATH, "transitions": SEEN}
 DRIVE = Drive(name="a", dt=0.05, delta_sw=T, v=3.0 + T % 7.0, r=0.2 * np.sin(T), measured=T > 5.0, calibrated=True)
 ERRORS = ("rms", "rms_driving", "mean_driving", "rms_rezeroed", "zero_shift")
 PREDICTED = Prediction(drive=DRIVE, r=0.3 * np.sin(T + 0.1), **dict(zip(ERRORS, 0.01 * np.arange(1.0, 6.0))))
@@ -68,7 +67,6 @@ AGAIN = Resimulated(
     **dict(vehicle=PASSAT, v=DRIVE.v, path=PATH, log=Log(T, STEERED, {}), compared=T > 5.0),
     **dict(driven=0.3 * np.sin(T + 0.1), a_y_driven=3.0 * np.sin(T)),
 )
-RECORD = pictures.Record(name="run", episodes=EPISODES, log=LOG, **PARTS)
 
 
 def painted() -> Any:
@@ -97,12 +95,12 @@ def told() -> Any:
         notes=(),
         digest="",
     )
-    rows = contents(of).rows
-    return picture(Contents(log=of, rows=rows, drive=None, trouble="", notes=()))
+    rows, *_ = contents(of, ColumnMap({}))
+    return picture(of, rows)
 
 
 OWN = Log(T, SIGNALS | dict.fromkeys(("path.e_dot", "path.r_e", "doe.state"), 0.1 * np.cos(T)), {})
-APART = Distance.of(states_of(OWN, "a"), SEEN, PARTS["experiment"].setting.description())
+APART = Distance.of(states_of(OWN, "a"), SEEN, Experiment().setting.description())
 SCENE = (animation.Moments.of_log(LOG), PATH, 2.7, 1.2, 15.0, 18.0)
 PICTURES: dict[str, Callable[[], Any]] = {
     **{
@@ -129,8 +127,8 @@ PICTURES: dict[str, Callable[[], Any]] = {
     "sweep": lambda: Sweep({"k": T}, {"k": T, "rms_e": np.sin(T), "of mine": T}).plot(),
     "sweep of two": lambda: Sweep({"k": T[:20], "m": T[:30]}, {"rms_e": T}).plot(),
     "fit": lambda: FOUND.plot(),
-    "replay": lambda: pictures.replay(RECORD, 2),
-    "replay of the last": lambda: pictures.replay(RECORD, 3),
+    "replay": lambda: pictures.replay(EPISODES, LOG, 2, name="run"),
+    "replay of the last": lambda: pictures.replay(EPISODES, LOG, 3, name="run"),
 }
 
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,20 +30,14 @@ SMOOTH = 31
 """Samples of the cubics that make a path of where the car went: 1.5 s."""
 BLOCK = 40
 """Samples of the blocks within which what the car leaves unexplained may hang together: 2 s."""
-NEEDED: Mapping[str, tuple[float, str, str]] = MappingProxyType(
-    {
-        "seconds": (40.0, "s of driving at 3 m/s or faster", "drive for two minutes"),
-        "rate_deg": (8.0, "deg/s of wheel, RMS (less is hidden by play and noise)", BENDS),
-        "gain_percent": (2.0, "% deviation of the steering's gain", BENDS),
-        "delay_ms": (20.0, "ms deviation of the dead time", "turn the wheel to and fro, as in a slalom"),
-        "straight_deg": (
-            1.5,
-            "degrees of deviation of the straight-ahead angle",
-            "add straights and bends to both sides",
-        ),
-        "unexplained_percent": (20.0, "% of the car's turning that the wheel does not explain", BENDS),
-    }
-)
+NEEDED: Mapping[str, tuple[float, str, str]] = {
+    "seconds": (40.0, "s of driving at 3 m/s or faster", "drive for two minutes"),
+    "rate_deg": (8.0, "deg/s of wheel, RMS (less is hidden by play and noise)", BENDS),
+    "gain_percent": (2.0, "% deviation of the steering's gain", BENDS),
+    "delay_ms": (20.0, "ms deviation of the dead time", "turn the wheel to and fro, as in a slalom"),
+    "straight_deg": (1.5, "degrees of deviation of the straight-ahead angle", "add straights and bends to both sides"),
+    "unexplained_percent": (20.0, "% of the car's turning that the wheel does not explain", BENDS),
+}
 _LEAST = ("seconds", "rate_deg")
 """Of an `Excitation`: these at least, the others in NEEDED at most; there in words, with what to drive besides."""
 

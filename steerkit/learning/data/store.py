@@ -111,9 +111,8 @@ def opened(path: FilePath, names: Sequence[str] | None, run: str | None) -> tupl
             raise StoreError(f"{path}: damaged ({check}); use a copy, or a new file")
         kept = tuple(json.loads(value("SELECT value FROM meta WHERE key = 'names'")))
         if names is not None and tuple(names) != kept:
-            raise StoreError(
-                f"{path}: holds the columns {', '.join(kept)}, expected {', '.join(names)}; use a new file"
-            )
+            other = f"holds the columns {', '.join(kept)}, expected {', '.join(names)}"
+            raise StoreError(f"{path}: {other}; use a new file")
         if run is not None:
             with transaction(db):
                 db.execute("INSERT OR IGNORE INTO run VALUES (?, ?)", (RUN, run))
@@ -162,19 +161,10 @@ class TransitionStore(AbstractContextManager["TransitionStore"]):
     def append(self, s: Sequence[float], a: float, s_next: Sequence[float], episode: int, own: bool = True) -> None:
         """Record one transition; returns at once, whatever the disk does.
 
-        s, s_next: the state's columns (SI); a: action [rad]; episode: its number; own: did the learner steer? Raises
-        ValueError for a wrong length or a non-finite number, StoreError when the store is opened for reading or closed.
+        s, s_next: the state's columns (SI); a: action [rad]; episode: its number; own: did the learner steer? All of
+        it as `Transitions.append` takes it. Raises StoreError when the store is opened for reading or closed.
         """
-        n = len(self.names)
-        if len(s) != n or len(s_next) != n:
-            fault = f"s has {len(s)}, s_next has {len(s_next)} entries, expected {n}: {', '.join(self.names)}"
-            raise ValueError(f"TransitionStore: {fault}")
-        numbers = (*s, a, *s_next)
-        if not all(map(math.isfinite, numbers)):
-            columns = (*self.names, "a", *(f"{name}_next" for name in self.names))
-            bad = next(f"{c} = {x}" for c, x in zip(columns, numbers) if not math.isfinite(x))
-            raise ValueError(f"TransitionStore: {bad}, expected a finite number; end the episode before it")
-        row = self._pack(*numbers, own)
+        row = self._pack(*s, a, *s_next, own)
         self._writing().waiting.append((int(episode), row, checksum(int(episode), row)))
 
     def flush(self, timeout: float = 10.0) -> None:

@@ -127,11 +127,8 @@ def fit(
     Rprop's signs magnify over many epochs. Raises ValueError for unlike shapes, an empty batch or a non-finite number.
     """
     check_net(net, x.shape[1] if x.ndim == 2 else -1, "rprop.fit")
-    require(
-        len(x) > 0 and target.shape == (len(x),),
-        "rprop.fit",
-        f"x {x.shape}, target {target.shape}, expected (n, n_in) and (n,) with n >= 1",
-    )
+    given = f"x {x.shape}, target {target.shape}, expected (n, n_in) and (n,) with n >= 1"
+    require(len(x) > 0 and target.shape == (len(x),), "rprop.fit", given)
     require(epochs >= 0, "rprop.fit", f"epochs = {epochs}, expected >= 0")
     for name, data in (("x", x), ("target", target)):
         require(bool(np.isfinite(data).all()), "rprop.fit", f"{name} holds a NaN or infinity, expected finite numbers")

@@ -1,8 +1,4 @@
-"""Built-in courses by name, courses from files, and courses by formula.
-
-`course(name)` gives one of `names()`, or that of a file; `circle`, `straight`,
-`figure_eight`, `random_course`, `bends`, `lane_change`, `slalom` and `curvature_step` make others.
-"""
+"""Built-in courses by name, courses from files, and courses by formula."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -70,12 +66,9 @@ def random_course(seed: int, *, length: float = 500.0, max_kappa: float = 0.1, n
     seed: equal seeds give equal courses. length [m]: exact to 1e-4. max_kappa [1/m]: bound of |kappa|.
     Raises ValueError unless length*max_kappa >= 8: a circle already needs 2 pi.
     """
-    where = f"random_course {seed}"
-    require(
-        math.isfinite(length * max_kappa) and length > 0.0 and length * max_kappa >= 8.0,
-        where,
-        f"length {length} [m] * max_kappa {max_kappa} [1/m], expected length > 0 and a product >= 8",
-    )
+    fits = math.isfinite(length * max_kappa) and length > 0.0 and length * max_kappa >= 8.0
+    given = f"length {length} [m] * max_kappa {max_kappa} [1/m]"
+    require(fits, f"random_course {seed}", f"{given}, expected length > 0 and a product >= 8")
     rng = np.random.default_rng(seed)
     k = np.arange(2, 8)[:, None]
     weight, phase = rng.standard_normal(k.shape) / np.sqrt(k), rng.uniform(0.0, 2.0 * math.pi, k.shape)
@@ -117,11 +110,8 @@ def bends(plan: Sequence[Bend], *, spacing: float = 1.0, name: str = "bends") ->
     headings, pieces, psi = [], [], 0.0
     for k, (_, turn_deg, radius, ramp) in enumerate(plan):
         turn = radians_of(turn_deg)
-        require(
-            0.0 <= ramp <= abs(turn) * radius or turn == 0.0,
-            where,
-            f"bend {k}: ramp {ramp} [m], expected at most radius*turn = {abs(turn) * radius:.3g} m",
-        )
+        long = f"bend {k}: ramp {ramp} [m], expected at most radius*turn = {abs(turn) * radius:.3g} m"
+        require(0.0 <= ramp <= abs(turn) * radius or turn == 0.0, where, long)
         headings.append(psi)
         pieces.append(_bend(psi, turn, radius, ramp))
         psi += turn

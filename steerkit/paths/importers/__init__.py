@@ -1,10 +1,4 @@
-"""Courses from files: CSV, GPX, GeoJSON, OpenDRIVE, CommonRoad, OSM and Lanelet2::
-
-yard = read_course("lap.gpx#noise=1")            # .path, .v, .v_limit, .notes
-town = read_course("town.xodr#road=1,lane=-1,to=5")
-print(contents("town.xodr").listed())            # what there is to choose from
-town.to_csv("town.csv")                          # a course like any other
-"""
+"""Courses from files: CSV, GPX, GeoJSON, OpenDRIVE, CommonRoad, OSM and Lanelet2."""
 
 import hashlib
 import math

@@ -162,10 +162,8 @@ def laid(
         fine = curve(np.linspace(0.0, end, count + 1)[: -1 if closed else None])
         beside = np.hypot(*(line.xy - curve(u[: len(line.xy)])).T)
         most, at = float(beside.max()), "({:.1f}, {:.1f})".format(*line.xy[beside.argmax()])
-        remarks.append(
-            f"smoothed by noise = {noise:g} m: the points lie {shown:.2g} m beside the curve (RMS), "
-            f"{most:.2g} m at most, at {at} [m]"
-        )
+        beside_it = f"{shown:.2g} m beside the curve (RMS), {most:.2g} m at most, at {at} [m]"
+        remarks.append(f"smoothed by noise = {noise:g} m: the points lie {beside_it}")
     else:
         fine, u = line.xy, travelled(line.xy)
         end = float(u[-1]) + (math.dist(line.xy[0], line.xy[-1]) if closed else 0.0)
@@ -185,9 +183,8 @@ def distinct(line: Line, name: str) -> Line:
     """Without points that repeat the one before; raises ValueError for numbers that are none, and for less than two."""
     bad = np.flatnonzero(~(np.isfinite(line.xy).all(axis=1) & (np.abs(line.xy) < 1e8).all(axis=1)))
     if bad.size:
-        raise ValueError(
-            f"{name}: point {bad[0]} is at {tuple(line.xy[bad[0]].tolist())} [m], expected numbers below 1e8"
-        )
+        at = tuple(line.xy[bad[0]].tolist())
+        raise ValueError(f"{name}: point {bad[0]} is at {at} [m], expected numbers below 1e8")
     kept, last = np.ones(len(line.xy), dtype=bool), line.xy[:1]
     steps = distances(line.xy)
     if (steps < SAME).any():

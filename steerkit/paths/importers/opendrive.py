@@ -181,9 +181,8 @@ def _linked(road: Road) -> list[str]:
             drivable = number_ and on and _DRIVABLE.fullmatch(lane.kind) and _DRIVABLE.fullmatch(on.kind)
             if on and drivable and not lane.links["successor"] and not on.links["predecessor"]:
                 lane.links["successor"], on.links["predecessor"] = [number_], [number_]
-                notes.append(
-                    f"road {road.name}, lane {number_}: no link at s = {after.s:.1f} m; it is taken as going on"
-                )
+                lacks = f"no link at s = {after.s:.1f} m; it is taken as going on"
+                notes.append(f"road {road.name}, lane {number_}: {lacks}")
     return notes
 
 
@@ -427,14 +426,7 @@ def poly3(length: float, v: Array, d: Array) -> tuple[Array, Array, Array]:
     from scipy.integrate import solve_ivp
 
     slope = polyder(v)
-    way = solve_ivp(
-        lambda _, u: 1.0 / np.hypot(1.0, polyval(u, slope)),
-        (0.0, length),
-        [0.0],
-        "DOP853",
-        dense_output=True,
-        rtol=1e-13,
-        atol=1e-13,
-    )
+    solver = {"method": "DOP853", "dense_output": True, "rtol": 1e-13, "atol": 1e-13}
+    way = solve_ivp(lambda _, u: 1.0 / np.hypot(1.0, polyval(u, slope)), (0.0, length), [0.0], **solver)
     (u,) = way.sol(d)
     return u, polyval(u, v), np.arctan(polyval(u, slope))

@@ -310,10 +310,9 @@ def cleaned(
         require(max(metres) > 0.0, where, f"is in {len(parts)} parts of less than 4 points: gaps, or time runs back")
         k = breaks[0]
         why = "time runs back" if steps[k] < 0.0 else f"a gap of {steps[k]:.0f} s and {moved[k]:.0f} m"
-        notes.append(
-            f"{why} after {since[k]:.0f} s: the longest of {len(parts)} parts is taken, {since[part][0]:.0f} to "
-            f"{since[part][-1]:.0f} s, {max(metres):.0f} of {sum(metres):.0f} m; FILE#from=...,to=... [s] chooses"
-        )
+        taken = f"{since[part][0]:.0f} to {since[part][-1]:.0f} s, {max(metres):.0f} of {sum(metres):.0f} m"
+        longest = f"the longest of {len(parts)} parts is taken, {taken}; FILE#from=...,to=... [s] chooses"
+        notes.append(f"{why} after {since[k]:.0f} s: {longest}")
         xy, t, v = xy[part], t[part], v[part]
     kept = _moving(xy, t, noise)
     if not kept.all():

@@ -81,13 +81,11 @@ def test_however_many_threads_it_is_the_same_to_the_bit() -> None:
             assert np.array_equal(a, b)
 
 
-def test_without_copies_the_arrays_are_written_over() -> None:
-    kept, shared = (TrackSteeringVector(2, backend="c", copy=copy) for copy in (True, False))
-    first, second = (env.reset(seed=0)[0] for env in (kept, shared))
+def test_what_was_given_is_not_written_over() -> None:
+    env = TrackSteeringVector(2, backend="c")
+    first, _ = env.reset(seed=0)
     before = first.copy()
-    same(first, second)
-    for env in (kept, shared):
-        env.step([4, 4])
+    second, *_ = env.step([4, 4])
     assert np.array_equal(first, before)
     assert not np.array_equal(second, before)
 

@@ -1,11 +1,13 @@
-"""A finished short run, and its record."""
+"""A finished short run, and its log."""
 
 from pathlib import Path
 
 import pytest
 
+from steerkit.diagram.simulation import Log
+from steerkit.learning import rundir
+from steerkit.learning.experiment import LearningRun
 from steerkit.learning.learn import learn
-from steerkit.learning.pictures import Record
 from tests.support.short_run import SHORT
 
 
@@ -17,5 +19,10 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def record(kept: Path) -> Record:
-    return Record.read(kept)
+def run(kept: Path) -> LearningRun:
+    return rundir.load(kept)
+
+
+@pytest.fixture(scope="session")
+def log(kept: Path) -> Log:
+    return rundir.drive_log(kept)

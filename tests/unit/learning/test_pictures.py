@@ -11,13 +11,14 @@ import pytest
 from matplotlib.colors import to_hex
 
 from steerkit.controllers.nfq_policy import NfqPolicy
+from steerkit.diagram.simulation import Log
 from steerkit.learning import rundir
-from steerkit.learning.experiment import Experiment
+from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.learn import learn
 from steerkit.learning.pictures import (
-    Record,
     course_angle,
     draw_all,
+    failed_at,
     film_of,
     moments_of,
     policy_map,
@@ -39,33 +40,27 @@ def course_of(figure: Any) -> Any:
     return next(axis for axis in figure.axes if axis.get_xlabel() == "x [m]")
 
 
-def test_a_record_is_what_the_run_was(record: Record, kept: Path) -> None:
-    run = rundir.load(kept)
-    assert record.name == "run: default on paper"
-    assert list(record.episodes) == run.counts.episodes
-    assert len(record.transitions) == len(run.transitions)
-    assert len(record.failed_at) == run.counts.failures > 2
-    e = np.abs(record.log["path.e"])
-    assert (e[record.failed_at] > 0.5).all()  # the sample in which the wheel was taken
-    assert (e[record.failed_at - 1] <= 0.5).all()
+def test_failures_are_where_the_log_has_them(run: LearningRun, log: Log, kept: Path) -> None:
+    failed = failed_at(run.counts.episodes, log)
+    assert len(failed) == run.counts.failures > 2
+    e = np.abs(log["path.e"])
+    assert (e[failed] > 0.5).all()  # the sample in which the wheel was taken
+    assert (e[failed - 1] <= 0.5).all()
     with pytest.raises(ValueError, match="is no run directory"):
-        Record.read(kept.parent)
+        draw_all(kept.parent)
 
 
-def test_a_replay_shows_its_episode(record: Record) -> None:
-    number = next(k for k, e in enumerate(record.episodes, start=1) if e.failed and e.began > 5.0)
-    episode = record.episodes[number - 1]
+def test_a_replay_shows_its_episode(run: LearningRun, log: Log) -> None:
+    episodes = run.counts.episodes
+    number = next(k for k, e in enumerate(episodes, start=1) if e.failed and e.began > 5.0)
+    episode = episodes[number - 1]
     assert episode.ended is not None
-    figure = replay(record, number)
+    figure = replay(episodes, log, number, name="run")
     assert f"episode {number}, failed after {episode.ended - episode.began:.1f} s" in figure.get_suptitle()
     dots = max(len(c.get_offsets()) for c in course_of(figure).collections)
     assert dots == episode.samples + 1  # and the one it failed in
     assert abs(figure.axes[0].get_lines()[0].get_ydata()[-1]) > 0.5
-    last = len(record.episodes)
-    for bad in (0, last + 1):
-        with pytest.raises(ValueError, match=f"episode {bad} of run.*, expected 1 to {last}"):
-            replay(record, bad)
-    replay(record, last)
+    replay(episodes, log, len(episodes), name="run")
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -80,23 +75,23 @@ def test_all_pictures_of_a_run_are_drawn(kept: Path, tmp_path: Path) -> None:
     assert all(file.read_bytes()[:4] == b"\x89PNG" for file in files)
 
 
-def test_an_episode_that_ended_otherwise_is_no_failure(record: Record) -> None:
+def test_an_episode_that_ended_otherwise_is_no_failure(run: LearningRun, log: Log) -> None:
     """At the end of an open course, say: the car was carried back."""
-    carried = replace(record, episodes=(replace(record.episodes[0], failed=False), *record.episodes[1:]))
-    assert record.episodes[0].failed
-    assert len(carried.failed_at) == len(record.failed_at) - 1
-    np.testing.assert_array_equal(carried.failed_at, record.failed_at[1:])
+    first, *others = run.counts.episodes
+    assert first.failed
+    carried = failed_at([replace(first, failed=False), *others], log)
+    np.testing.assert_array_equal(carried, failed_at(run.counts.episodes, log)[1:])
 
 
 # ---- the film
 
 
-def test_the_beginning_is_real_time_until_the_learner_has_the_wheel_again(record: Record) -> None:
-    t = record.log.t
-    first = float(t[record.failed_at[0]])
-    again = float(t[record.learning & (t > first)][0])
+def test_the_beginning_is_real_time_until_the_learner_has_the_wheel_again(run: LearningRun, log: Log) -> None:
+    t, episodes = log.t, run.counts.episodes
+    first = float(t[failed_at(episodes, log)[0]])
+    again = float(t[(log["supervisor.learning"] > 0.5) & (t > first)][0])
     until = float(t[-1])
-    found = moments_of(record, until, lasts=4.0 * (again + 4.0), fps=10.0)
+    found = moments_of(episodes, log, until, lasts=4.0 * (again + 4.0), fps=10.0)
     slow = found < again + 4.0
     assert found[slow][-1] == pytest.approx(again + 4.0, abs=0.11)
     np.testing.assert_allclose(np.diff(found[slow]), 0.1)
@@ -104,16 +99,16 @@ def test_the_beginning_is_real_time_until_the_learner_has_the_wheel_again(record
         steps = np.diff(found[~slow])
         np.testing.assert_allclose(steps, steps[0])
     assert found[-1] == until
-    squeezed = moments_of(record, until, lasts=0.5 * again, fps=10.0)  # no more than half of the film
+    squeezed = moments_of(episodes, log, until, lasts=0.5 * again, fps=10.0)  # no more than half of the film
     assert (squeezed < again + 4.0).sum() == pytest.approx(0.5 * len(squeezed), abs=2)
 
 
-def test_the_picture_says_what_the_log_says(record: Record) -> None:
-    log, t = record.log, record.log.t
-    scene = Scene(Moments.of_log(with_heading(record)), record.path, 2.7, 1.2, 15.6, 18.0)
-    for k in (1, int(record.failed_at[0]) + 3, int(record.failed_at[1]) - 2, len(t) - 2):
+def test_the_picture_says_what_the_log_says(run: LearningRun, log: Log) -> None:
+    t, failed = log.t, failed_at(run.counts.episodes, log)
+    scene = Scene(Moments.of_log(with_heading(run.path, log)), run.path, 2.7, 1.2, 15.6, 18.0)
+    for k in (1, int(failed[0]) + 3, int(failed[1]) - 2, len(t) - 2):
         scene.show(float(t[k]), 1.0)
-        learns, failures = record.learning[k], int((record.failed_at <= k).sum())
+        learns, failures = log["supervisor.learning"][k] > 0.5, int((failed <= k).sum())
         who, when, *_, error = scene.words.get_text().split("\n")
         assert who == f"the {'learner' if learns else 'recovery controller'} steers; {failures} failure" + "s" * (
             failures != 1
@@ -137,8 +132,8 @@ def test_mistakes_teach(kept: Path, tmp_path: Path) -> None:
         film_of(tmp_path, tmp_path / "run.gif")
 
 
-def test_the_car_points_where_it_drives(record: Record) -> None:
-    log = with_heading(record)
+def test_the_car_points_where_it_drives(run: LearningRun, log: Log) -> None:
+    log = with_heading(run.path, log)
     fast = np.flatnonzero(log["car.v"] > 3.0)[5:-5:40]
     course = np.arctan2(log["car.y"][fast + 1] - log["car.y"][fast], log["car.x"][fast + 1] - log["car.x"][fast])
     off = np.angle(np.exp(1j * (log["car.psi"][fast] - course)))
@@ -148,9 +143,9 @@ def test_the_car_points_where_it_drives(record: Record) -> None:
 # ---- a policy
 
 
-def test_values_lead_to_the_actions_that_the_policy_takes(record: Record) -> None:
-    policy = replace(record.policy, continuous=False)
-    s = record.transitions.s[:200]
+def test_values_lead_to_the_actions_that_the_policy_takes(run: LearningRun, kept: Path) -> None:
+    policy = replace(rundir.final_policy(kept), continuous=False)
+    s = run.transitions.s[:200]
     q = q_values(policy, s).mean(axis=0)
     y = policy.output(0.0, (), policy.D(*s.T))
     np.testing.assert_allclose(q.min(axis=0), y.q, atol=1e-6)

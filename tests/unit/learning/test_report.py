@@ -2,6 +2,7 @@
 
 import io
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from steerkit.learning import report
 from steerkit.learning.experiment import Experiment, LearningRun
 from steerkit.learning.report import Lately, in_lines, in_tensorboard, in_words, learn_with_progress, on_terminal
 from steerkit.scenario import Scenario
@@ -73,8 +73,8 @@ def test_curves_are_event_files_and_a_run_that_goes_on_continues_them(tmp_path: 
 
 
 def test_without_tensorboard_what_to_install_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(report, "find_spec", lambda name: None)
-    with pytest.raises(ValueError, match=r"learn --live: needs the package tensorboard: pip install"):
+    monkeypatch.setitem(sys.modules, "tensorboard", None)
+    with pytest.raises(ValueError, match=r"learn --live needs tensorboard: pip install"):
         in_tensorboard(tmp_path).__enter__()
 
 

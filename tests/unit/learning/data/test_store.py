@@ -53,13 +53,9 @@ def test_a_file_is_of_one_run(tmp_path: Path) -> None:
             TransitionStore(path, run=run)
 
 
-def test_what_cannot_be_learned_from_is_refused_at_once(tmp_path: Path) -> None:
+def test_a_store_that_is_only_read_takes_nothing(tmp_path: Path) -> None:
     with TransitionStore(tmp_path / "t.db", run="a") as store:
-        with pytest.raises(ValueError, match="psi_e_next = nan, expected a finite number; end the episode"):
-            store.append([0.0] * 6, 0.0, [0.0, 0.0, 0.0, float("nan"), 0.0, 0.0], 1)
-        with pytest.raises(ValueError, match="s has 5, s_next has 6 entries, expected 6: e, e_dot"):
-            store.append([0.0] * 5, 0.0, [0.0] * 6, 1)
-    assert len(TransitionStore(tmp_path / "t.db").transitions()) == 0
+        pass
     with pytest.raises(StoreError, match="closed, or opened for reading"):
         store.append([0.0] * 6, 0.0, [0.0] * 6, 1)
     with pytest.raises(StoreError, match="closed, or opened for reading"):
