@@ -36,17 +36,14 @@ def changed(**changes: Callable[[float, float], float]) -> Sense:
 
 
 def steady(size: float) -> Callable[[float], float]:
-    """Of that size from the onset on."""
     return lambda t: size
 
 
 def growing(rate: float) -> Callable[[float], float]:
-    """From nothing, by so much a second."""
     return lambda t: rate * t
 
 
 def plus(name: str, error: Callable[[float], float]) -> Sense:
-    """A value with an error."""
     return changed(**{name: lambda value, t: value + error(t)})
 
 
@@ -203,8 +200,6 @@ def slow(share: float) -> Sense:
 
 
 def both(*senses: Sense) -> Sense:
-    """One after the other."""
-
     def sense(drive: Drive, values: Sensed, since: float) -> None:
         for one in senses:
             one(drive, values, since)

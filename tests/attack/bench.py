@@ -43,7 +43,6 @@ AFTER = 0.3
 
 @cache
 def courses() -> dict[str, Course]:
-    """The attacker's own courses."""
     return {"stadium": stadium(), "road": road(), "careful": stadium()}
 
 
@@ -153,17 +152,14 @@ class Bench:
             self.said(out)
 
     def said(self, out: Output) -> None:
-        """Take note of an answer."""
         if isinstance(out, Note) and out.topic == "state":
             self.mode = str(out.values["to"])
             self.modes.append((self.t, self.mode, out.values["cause"]))
 
     def packet(self, link: int, data: bytes) -> None:
-        """A client's packet."""
         self.handle(Packet(self.t, link, data))
 
     def order(self, name: str) -> None:
-        """An order of the operator, as a key gives it."""
         self.packet(2, wire.ORDERS[name])
 
     def arm(self) -> None:
@@ -248,7 +244,6 @@ class Drive(Bench):
     # ---- around the core --------------------------------------------------------------------------------------
 
     def said(self, out: Output) -> None:
-        """Do what it says."""
         super().said(out)
         match out:
             case Send():
@@ -262,7 +257,6 @@ class Drive(Bench):
                 self.snapshot, self.answer = known, data
 
     def hang_up(self, link: int) -> None:
-        """A client is gone, and its line cut."""
         if link == 1:
             self.controlling = False
         else:
@@ -270,7 +264,6 @@ class Drive(Bench):
         self.handle(Link(self.t, link, False))
 
     def hear(self, angle: float, enable: bool, clear: bool) -> None:
-        """A command reaches the kit."""
         self.heard = self.t
         if clear:
             self.kit_timeout = self.overridden = False
@@ -428,7 +421,6 @@ class Drive(Bench):
         return next((t for t, mode, _ in self.modes if t >= self.onset and mode != "ENGAGED"), math.inf)
 
     def cause(self) -> str:
-        """Why."""
         return next((cause for t, mode, cause in self.modes if t >= self.onset and mode != "ENGAGED"), "")
 
     def silence(self) -> float:
@@ -499,10 +491,8 @@ def settled(
 
 
 def through_port(port: str, attack: Attack, *, speed: float) -> Drive:
-    """A drive of a production car under attack, done."""
     return Drive(attack, speed, port=port).settle().run()
 
 
 def driven(attack: Attack, *, speed: float) -> Drive:
-    """A drive under attack, done."""
     return settled(attack.course, attack.where, speed).under(attack)

@@ -47,7 +47,6 @@ class Busy(Drive):
         self.late: list[Event] = []
 
     def handle(self, event: Event) -> None:
-        """As before, or after the stall."""
         if self.t >= self.next_stall:
             self.back = self.t + self.stalls.uniform(0.0, HELD)
             self.next_stall = self.back + 0.05 + self.stalls.expovariate(1.0 / PAUSE)
@@ -61,7 +60,6 @@ class Busy(Drive):
 
 
 def busy_drive(speed: float, seed: int, seconds: float) -> Drive:
-    """A drive of so long without an attack."""
     return Busy(Attack("none", seconds=seconds), speed=speed, seed=seed).settle().run()
 
 
@@ -119,7 +117,6 @@ class Playback(Bench):
         """For how long it was [s]."""
 
     def said(self, out: Output) -> None:
-        """The kit does as it is told."""
         super().said(out)
         if isinstance(out, Send):
             angle, enable, _ = wire.command(out.data)
@@ -190,7 +187,6 @@ def _played(job: tuple[str, int]) -> str:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--jobs", type=int, default=2, help="processes at once")
     parser.add_argument("--minutes", type=float, default=60.0, help="of simulated driving, nine drives in all")

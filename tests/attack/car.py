@@ -31,7 +31,6 @@ class Course:
         self._x, self._y = np.pad(self.x, NEAR, beyond), np.pad(self.y, NEAR, beyond)
 
     def csv(self) -> str:
-        """Waypoints a metre apart."""
         every = round(1.0 / self.step)
         rows = [f"{x:.4f},{y:.4f}" for x, y in zip(self.x[::every], self.y[::every])]
         return "x,y\n" + "\n".join(rows) + "\n"

@@ -46,11 +46,9 @@ class Line:
         return self  # loops hold it, and copies of a loop call the same blocks
 
     def query(self) -> protocol.Snapshot:
-        """As the loop sees it."""
         return self.last
 
     def request(self, delta_sw: float) -> None:
-        """Keep it."""
         self.asked = delta_sw
 
     def note(self, message: object) -> None:
@@ -58,8 +56,6 @@ class Line:
 
 
 class ProductClient:
-    """Steers with one of the product's controllers."""
-
     def __init__(self, name: str, course: str, vehicle: str = ""):
         self.controller, self.car, self.line = made(name, course, vehicle), (course, vehicle), Line()
         self.follow: Follow | None = None
@@ -112,7 +108,6 @@ def settled(
 def driven_by(
     name: str, attack: Attack, *, speed: float, kinematic: bool = False, vehicle: str = "", lead: float = 0.0
 ) -> Drive:
-    """A drive with that controller under attack, done."""
     if attack.course == "stadium" and name not in LEARNS:
         attack = replace(attack, course="careful")
     return settled(name, attack.course, attack.where, speed, kinematic, vehicle, lead).under(attack)

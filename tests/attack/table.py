@@ -64,7 +64,6 @@ def lies(name: str, controllers: Sequence[str]) -> str:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--jobs", type=int, default=2, help="processes at once")
     parser.add_argument("--only", default="", help="attacks with this in their name")

@@ -29,6 +29,13 @@ def changed(folder: Path, *changes: str) -> Path:
     return folder / "car.toml"
 
 
+def test_the_summary_tells_all_that_is_read_and_written_and_every_limit() -> None:
+    text = "\n".join(load("dbw-kit.toml").summary())
+    words = ["STEERING_REPORT (0x65)", "STEERING_CMD (0x64)", "steps of 0.1 deg", "protection: period 0.02 s"]
+    words += ["protection: counter COUNT, CRC-8 0x2F CRC, period 0.01 s", "delta_sw_max_deg = 520", "pose_age = 0.15"]
+    assert [word for word in words if word not in text] == []
+
+
 NO_CRC = 'MOTION = { counter = "COUNT", crc = "CRC", period = 0.01 -> MOTION = { counter = "COUNT", period = '
 """And another period."""
 MISTAKES = [
