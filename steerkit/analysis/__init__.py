@@ -8,12 +8,11 @@ of the result is one period. That is exact and no approximation by the slowest b
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import control
 import numpy as np
-from scipy.optimize import brentq
 
 from steerkit._support.errors import require
 from steerkit.analysis.systems import FromControl as FromControl
@@ -150,28 +149,19 @@ def margins(system: Any) -> Margins:
         raise UnstableError(f"margins: the closed loop is unstable (poles {closed[beyond > 1e-7]}), so it has none")
     top = math.pi / system.dt if discrete else 1e4
     grid = np.geomspace(1e-4 * (top if discrete else 1.0), top * (1.0 - 1e-9), 4000)
-
-    def answer(w: Any) -> Any:
-        return system(np.exp(1j * w * system.dt) if discrete else 1j * w)
-
-    values = np.asarray(answer(grid))
-
-    def crossings(number: Callable[[Any], Any]) -> list[float]:
-        along = number(values)
-        change = np.flatnonzero(along[:-1] * along[1:] < 0.0)
-        return [float(brentq(lambda w: number(answer(w)), grid[i], grid[i + 1], xtol=1e-13)) for i in change]
-
-    gain_at = crossings(lambda z: np.log(np.abs(z)))
-    phases = [float(np.angle(-answer(w))) for w in gain_at]
-    delays = [(phase % (2.0 * math.pi)) / w for phase, w in zip(phases, gain_at)]
-    phase, crossing = min(((abs(p), w) for p, w in zip(phases, gain_at)), default=(math.inf, math.nan))
-    real_at = [w for w in crossings(np.imag) if np.real(answer(w)) < 0.0]
-    if discrete and np.real(answer(top)) < 0.0:  # L is real at half the sampling rate
-        real_at.append(top)
-    factors = [1.0 / abs(float(np.real(answer(w)))) for w in real_at]
-    gain = min((f for f in factors if f > 1.0), default=math.inf)
-    below = max((f for f in factors if f < 1.0), default=0.0)
-    return Margins(gain, below, phase, min(delays, default=math.inf), crossing)
+    answers = control.frd(system(np.exp(1j * grid * system.dt) if discrete else 1j * grid), grid, smooth=True)
+    factors, degrees, _, _, crossings, _ = control.stability_margins(answers, returnall=True)
+    if discrete and (last := float(np.real(system(-1.0)))) < 0.0:  # L is real at half the sampling rate
+        factors = np.append(factors, -1.0 / last)
+    phases = np.radians(degrees)
+    phase, crossing = min(zip(np.abs(phases).tolist(), crossings.tolist()), default=(math.inf, math.nan))
+    return Margins(
+        gain=float(factors[factors > 1.0].min(initial=math.inf)),
+        gain_below=float(factors[factors < 1.0].max(initial=0.0)),
+        phase=phase,
+        delay=float((phases % (2.0 * math.pi) / crossings).min(initial=math.inf)),
+        gain_crossing=crossing,
+    )
 
 
 def _named(signals: Sequence[str], samples: Sequence[int], opened: Sequence[str]) -> tuple[list[int], list[str]]:
