@@ -33,10 +33,6 @@ class NotTimeInvariantError(ValueError):
     """The loop's linearisation changes from one period to the next: there are no poles and margins to speak of."""
 
 
-class UnstableError(ValueError):
-    """The closed loop is unstable: it has no margins."""
-
-
 def linearise(
     loop: "Loop",
     at: "LoopState | None" = None,
@@ -119,23 +115,19 @@ class Margins(NamedTuple):
 
     gain: float
     """Factor on the loop gain: the nearest to 1 above it [1]."""
-    gain_below: float
-    """The nearest to 1 below it [1]; 0 where none."""
     phase: float
     """Least phase at a gain crossing [rad]."""
     delay: float
     """Least additional delay [s]."""
-    gain_crossing: float
-    """Where |L| = 1, for the phase margin [rad/s]; NaN if nowhere."""
 
 
 def margins(system: Any) -> Margins:
     """Gain, phase and delay margins of an open loop L, a single-input, single-output `control` system.
 
     Over 0 < w < pi/dt (or, continuous, 1e-4 to 1e4 rad/s): phase margin = |pi + arg L| where |L| = 1; delay margin =
-    ((pi + arg L) mod 2 pi)/w there; gain margins = 1/|L| where L is real and negative. Crossings are found on a
-    logarithmic grid and refined. Raises UnstableError for an unstable closed loop, which has no margins,
-    ValueError for a system with several inputs or outputs. Source: Astrom, Murray 2021, section 10.3.
+    ((pi + arg L) mod 2 pi)/w there; gain margin = 1/|L| > 1 where L is real and negative. Crossings are found on a
+    logarithmic grid and refined. Raises ValueError for an unstable closed loop, which has no margins, and for a
+    system with several inputs or outputs. Source: Astrom, Murray 2021, section 10.3.
     """
     if system.ninputs != 1 or system.noutputs != 1:
         raise ValueError(
@@ -146,7 +138,7 @@ def margins(system: Any) -> Margins:
     closed = control.feedback(system).poles()
     beyond = np.abs(closed) - 1.0 if discrete else np.real(closed)
     if (beyond > 1e-7).any():
-        raise UnstableError(f"margins: the closed loop is unstable (poles {closed[beyond > 1e-7]}), so it has none")
+        raise ValueError(f"margins: the closed loop is unstable (poles {closed[beyond > 1e-7]}), so it has none")
     top = math.pi / system.dt if discrete else 1e4
     grid = np.geomspace(1e-4 * (top if discrete else 1.0), top * (1.0 - 1e-9), 4000)
     answers = control.frd(system(np.exp(1j * grid * system.dt) if discrete else 1j * grid), grid, smooth=True)
@@ -154,21 +146,13 @@ def margins(system: Any) -> Margins:
     if discrete and (last := float(np.real(system(-1.0)))) < 0.0:  # L is real at half the sampling rate
         factors = np.append(factors, -1.0 / last)
     phases = np.radians(degrees)
-    phase, crossing = min(zip(np.abs(phases).tolist(), crossings.tolist()), default=(math.inf, math.nan))
-    return Margins(
-        gain=float(factors[factors > 1.0].min(initial=math.inf)),
-        gain_below=float(factors[factors < 1.0].max(initial=0.0)),
-        phase=phase,
-        delay=float((phases % (2.0 * math.pi) / crossings).min(initial=math.inf)),
-        gain_crossing=crossing,
-    )
+    each = factors[factors > 1.0], np.abs(phases), phases % (2.0 * math.pi) / crossings
+    return Margins(*[float(found.min(initial=math.inf)) for found in each])
 
 
 def _named(signals: Sequence[str], samples: Sequence[int], opened: Sequence[str]) -> tuple[list[int], list[str]]:
     """Which entries are shown of signals with so many samples each, and their names."""
-    numbers: list[int] = []
-    names: list[str] = []
-    start = 0
+    numbers, names, start = list[int](), list[str](), 0
     for signal, name, count in zip(signals, port_names(signals), samples):
         shown = count if signal in opened else 1
         numbers += range(start, start + shown)

@@ -59,13 +59,11 @@ class Adaptive(Block):
 
     Ports and sample time are those of `blocks`, the inputs v and r among them; the preview is the longest. With
     `takes_turns` there is one input more, doe [rad]: the angle commanded a sample before, by whichever controller
-    steered. State: those of `blocks`, of `delay` and `steering`, then dead time and lag as last read from `delay`,
-    their deviation [s], whether they were valid, samples since then, its own last command [rad], whether it was on
-    standby [1], d [s] and g [1]. While another controller steers, integral action of `blocks` keeps what it has. In a
-    drive of one car only the two controllers that are mixed are evaluated, and `delay`, which takes its time, is read
-    every fifth sample. Samples with NaN in v, r or doe update no estimate, nor do samples on standby: see
-    `on_standby`. Raises ValueError for controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4
-    (gain scheduling) and 3.1 (certainty equivalence: estimates are used as if they were true).
+    steered. State: those of `blocks`, of `delay` and `steering`, then `_Own`. While another controller steers, integral
+    action of `blocks` keeps what it has. In a drive of one car only the two controllers that are mixed are evaluated.
+    Samples with NaN in v, r or doe update no estimate, nor do samples on standby: see `on_standby`. Raises ValueError
+    for controllers with other ports. Source: Astrom, Wittenmark 1995, sections 1.4 (gain scheduling) and 3.1 (certainty
+    equivalence: estimates are used as if they were true).
     """
 
     doe = In("rad", direct=False)

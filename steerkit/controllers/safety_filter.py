@@ -171,13 +171,10 @@ class SafetyFilter(Block):
     Inputs: command [rad]; e [m], psi_e [rad], preview [1/m] (kappa every preview_dt of driving) at `reference`;
     v [m/s]; r [rad/s]; delta_sw_meas [rad]; with a `gate` also applied [rad], what it let through last. Outputs:
     delta_sw [rad]; correction [rad], delta_sw - command; share [1], 0 for none, 1 where nothing of w is left; reach [m]
-    of w; reason [1], the number of one of `REASONS`; late [s] and widened [1]. State: r_model, `wrong`, r_slow, the
-    wheel one sample before, the command that was found safe last, less the path's own angle, for how many samples it is
-    to be held, <wrong> and the mean square of what is left of `wrong`; late in samples, widened, the wheel and p_0 as
-    commanded, the latter's average, the mean squares of r and of what is allowed, and p_k, <r p_k>, <p_k^2> of each k;
-    then commands on their way, oldest first. Where a command is not finite, or an input is NaN, the last plan goes on,
-    then the backup steers; a NaN in an input of the backup gives NaN, which the gate before a bus refuses. A negative v
-    counts as 0. Raises ValueError for a backup that is not Stanley.
+    of w; reason [1], the number of one of `REASONS`; late [s] and widened [1]. State: `_Known`, then p_k, <r p_k>,
+    <p_k^2> of each k, then commands on their way, oldest first. Where a command is not finite, or an input is NaN, the
+    last plan goes on, then the backup steers; a NaN in an input of the backup gives NaN, which the gate before a bus
+    refuses. A negative v counts as 0. Raises ValueError for a backup that is not Stanley.
 
     Source: Wabersich, Zeilinger 2018 and 2021 (predictive safety filter); Gurriet et al. 2020 (a backup rolled out);
     Pizarro Bejarano, Brunke, Schoellig 2023 (multi-step filters).

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 from steerkit._support.errors import number, require_within
@@ -113,10 +112,6 @@ class DelayBank(Bank):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_within(type(self).__name__, "prior_delay", self.prior_delay, "s", 0.0, self.longest, "0 to longest")
-
-    @cached_property
-    def _line(self) -> int:
-        return round(self.longest / self.dt) + 1
 
     def init(self, batch: tuple[int, ...] = ()) -> State:
         start = [m.filled(0.0, batch)] * (_FIRST + self._line * (3 + MOMENTS))
