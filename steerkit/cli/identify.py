@@ -97,9 +97,8 @@ def identify(
     elif not as_json:
         print(identified.text(command=command, held_out=prediction), end="")
     if report is not None:
-        verdict = [*identified.verdict(prediction), *filter(None, [agrees])]
-        figures = [identified.plot(prediction)]
-        write_page(report, console, f"{identified.vehicle.name}, identified", verdict, figures)
+        found = filter(None, [agrees])
+        write_page(report, console, f"{identified.vehicle.name}, identified", found, [identified.plot(prediction)])
         console.print(f"report: {report}", soft_wrap=True)
     if plot is not None:
         identified.plot(prediction).savefig(plot)

@@ -214,30 +214,6 @@ class Identified:
             return f"The two drives contradict each other: {'; '.join(apart)}: banked, or another load or car?"
         return "The two drives agree in ratio, understeer gradient and delay, within their intervals."
 
-    def verdict(self, held_out: Prediction | None = None) -> list[str]:
-        """What a person would say of it: what the log determines and what it does not, and how well that predicts."""
-        found = {"log": list[str](), "log and prior": list[str](), "prior": list[str]()}
-        for e in self.estimates:
-            if e.source in found:
-                interval = (
-                    f" {e.value:.4g} [{e.low:.4g}, {e.high:.4g}] {e.unit.removeprefix('1')}"
-                    if e.source != "prior"
-                    else ""
-                )
-                found[e.source].append(f"{e.name}{interval}".strip())
-        size = float(np.sqrt(np.mean(self.drive.r[self.drive.driving] ** 2)))
-        share = f"{self.fit.rms_driving:.4f} rad/s RMS, {100.0 * self.fit.rms_driving / size:.1f} % of the yaw rate's"
-        said = [f"Determined by this log: {', '.join(found['log']) or 'nothing'}."]
-        if found["log and prior"]:
-            said += [f"In part, beside what was known before: {', '.join(found['log and prior'])}."]
-        if found["prior"]:
-            said += [f"Not determined, taken from what was known before: {', '.join(found['prior'])}."]
-        said += [f"The model misses the measured yaw rate by {share}."]
-        if held_out is not None:
-            times = held_out.rms_driving / self.fit.rms_driving
-            said += [f"On {held_out.drive.name}, which it has not seen, by {times:.1f} times as much."]
-        return said
-
     def plot(self, held_out: Prediction | None = None) -> Any:
         """Yaw rate, residual and speed over time, the held-out drive after the fitted one: a matplotlib figure."""
         parts = [(self.fit, "fitted", COLOURS["learned"])]

@@ -101,8 +101,6 @@ class Port:
         self._torques = deque([0.0], maxlen=1 + round((config.delay + config.lag) / STEP))
         self.steering = False
         """Did the last frames ask for steering?"""
-        self.why = "nothing heard yet"
-        """Why it does not steer."""
         self.state: Any = None
         """What the library read last of the car, its `CarState`."""
         self.flags: dict[str, bool] = {}
@@ -166,18 +164,10 @@ class Port:
         }
 
     def _may_steer(self, t: float, state: Any) -> bool:
-        wrong = [name for name, up in self.flags.items() if up]
-        human = {"steering": state.steeringPressed or state.steeringDisengage, "brake": state.brakePressed}
-        reasons = {
-            "no command": not self._enable,
-            "command old": not t - self._heard < WATCHDOG,
-            "command is no number": not math.isfinite(self._command),
-            ", ".join(wrong): bool(wrong),
-            f"human: {', '.join(name for name, on in human.items() if on)}": any(human.values()),
-            "a frame was rejected": t - self._released < RELEASED,
-        }
-        self.why = next((why for why, holds in reasons.items() if holds), "")
-        return not self.why
+        commanded = self._enable and t - self._heard < WATCHDOG and math.isfinite(self._command)
+        human = state.steeringPressed or state.steeringDisengage or state.brakePressed
+        rests = t - self._released < RELEASED  # a frame was rejected
+        return commanded and not (human or rests or any(self.flags.values()))
 
     def _request(self, state: Any, active: bool) -> Any:
         control = self._control()

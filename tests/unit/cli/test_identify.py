@@ -32,7 +32,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> N
     printed = page.read_text()
     row = next(line for line in printed.splitlines() if "lateral [m]" in line and "persistence" in line)
     assert all(f"{miss:.3f}" in row for miss in lateral["persistence"])
-    for sentence in (ahead["note"], "Determined by this log: ", "The model misses the measured yaw rate"):
+    for sentence in (ahead["note"], "ratio_wheelbase", "log and prior", "yaw rate of"):
         assert sentence in printed
     assert answer["estimates"]["steer_ratio"]["low"] < 14.2 < answer["estimates"]["steer_ratio"]["high"]
     assert answer["held_out"]["rms"] == pytest.approx(answer["fit"]["rms"])

@@ -69,7 +69,6 @@ def test_slow_driving_determines_the_ratio_but_not_the_tyres() -> None:
     slow = driven(seconds=60.0, v_low=3.5, v_high=5.0)
     answer = identify(Drive.of(by_rate(noisy(slow, 1))), BASE)
     assert answer["ratio_wheelbase"].source == "log and prior"  # the gyro's scale is not known
-    assert any(said.startswith("In part, beside what was known before: steer_ratio ") for said in answer.verdict())
     assert {answer[n].source for n in ("c_f", "c_r")} == {"prior"}
     assert any("c_f" in note and "hardly determined" in note for note in answer.notes)
     for name in ("c_f", "c_r"):

@@ -24,7 +24,7 @@ def test_a_port_reads_the_simulated_car_and_the_safety_code_lets_it_steer(name: 
     steered(car, 0.2, round(car.car.turned / quantum) * quantum)
     port, counts, judge = car.port, car.car.counts, car.judge
     assert judge is not None
-    assert port.steering, port.why
+    assert port.steering, port.flags
     assert judge.allowed
     assert not judge.invalid
     assert not judge.relay_malfunction
