@@ -9,12 +9,6 @@ from steerkit.controllers.policy import StateDescription
 STANDARD = StateDescription()
 
 
-def test_the_scale_of_actions_is_the_largest_unless_it_is_given() -> None:
-    assert STANDARD.scale_of((0.1, -0.5, 0.3)) == 0.5
-    assert STANDARD.scale_of((0.0,)) == 1.0
-    assert StateDescription(action_scale=2.0).scale_of((0.1, -0.5)) == 2.0
-
-
 def test_a_fast_car_and_a_slow_one_give_the_net_the_same_numbers() -> None:
     """The same e_dot, and the same lateral acceleration of wheel and yaw rate, at 4, 8 and 16 m/s."""
     fast = StateDescription(scaled_from=4.0)

@@ -30,14 +30,6 @@ def test_the_approach_angle_is_limited(e: float, v: float) -> None:
     assert limited == pytest.approx(max(-radians_of(30.0), min(radians_of(30.0), free)))
 
 
-def test_steer_damping_works_against_the_wheel_that_turns() -> None:
-    damped = replace(BARE, k_d_steer=0.3)
-    assert steered(damped, before=0.1, delta_sw_meas=0.15) == pytest.approx(-0.3 * 0.05)
-    assert steered(damped, before=0.15, delta_sw_meas=0.15) == 0.0
-    signals = damped.U(**(AT_REST | {"delta_sw_meas": 0.15}))
-    assert damped.update(0.0, StanleyState(0.0, 0.0), signals, damped.Y(0.7)) == StanleyState(0.15, 0.7)
-
-
 def test_above_a_speed_it_corrects_the_less_the_faster_it_is() -> None:
     fast = replace(OF_PASSAT, v_full=6.0, mass=0.0)
     for signals in ({"psi_e": 0.01}, {"e": 0.02, "psi_e": 0.01}):
@@ -87,11 +79,6 @@ def test_all_terms_together_with_the_gains_of_the_paper_and_of_the_study() -> No
     assert found == pytest.approx(PASSAT.steer_ratio * delta)
     tight = replace(BARE, k_d_yaw=0.15)  # a circle within the wheelbase: the root stays regular
     assert steered(tight, kappa=1.0, r=5.0 / math.sqrt(0.1)) == pytest.approx(0.0)
-
-
-def test_standstill_is_regular() -> None:
-    assert steered(BARE, e=0.2, v=0.0) == steered(BARE, e=0.2, v=-2.0) == pytest.approx(-math.atan(0.5))
-    assert math.isfinite(steered(Stanley.of(PASSAT), e=1.0, psi_e=1.0, v=0.0))
 
 
 def test_the_textbook_form_is_heading_and_cross_track_only() -> None:

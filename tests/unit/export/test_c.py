@@ -99,15 +99,6 @@ def test_the_replay_notices_a_changed_gain(gain: str, says: str, tmp_path: Path)
     assert re.search(says, done.stdout)
 
 
-def test_the_header_names_inputs_outputs_units_and_limits(tmp_path: Path) -> None:
-    export_c(Supervisor(), tmp_path)
-    header = (tmp_path / "supervisor.h").read_text()
-    numbers = ("#define SUPERVISOR_TRIP 0.5", "#define SUPERVISOR_DT 0.05 /* [s] */")
-    fields = ("double learner; /* [rad] */", "double e; /* [m] */", "double tripped; /* [1] */")
-    for line in (*numbers, *fields, "void supervisor_init(supervisor_state *s);"):
-        assert line in header
-
-
 def test_the_code_needs_nothing_but_math_h(tmp_path: Path) -> None:
     export_c(learner_loop(), tmp_path, blocks=("controller", "doe", "recovery", "supervisor"), name="ecu")
     code = (tmp_path / "ecu.c").read_text()

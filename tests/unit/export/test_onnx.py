@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
 import onnxruntime
 import pytest
 
@@ -81,14 +80,6 @@ def test_a_broken_state_gives_nan_and_spares_the_others(tmp_path: Path) -> None:
     told = ask(tmp_path / "p.onnx", states)
     for values in told.values():
         assert np.isnan(values).tolist() == [True, True, False]
-
-
-def test_the_model_tells_its_columns_and_units(tmp_path: Path) -> None:
-    export_onnx(POLICIES[0], tmp_path / "p.onnx")
-    model = onnx.load(tmp_path / "p.onnx")
-    about = {p.key: p.value for p in model.metadata_props}
-    assert about["columns"] == "e [m], e_dot [m/s], v [m/s], psi_e [rad], r_e [rad/s], doe [rad]"
-    assert about["sample_time_s"] == "0.05"
 
 
 def test_what_is_no_net_is_refused(tmp_path: Path) -> None:

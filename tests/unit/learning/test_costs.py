@@ -1,35 +1,30 @@
 """Costs by hand, symmetric and within one."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from steerkit.learning.costs import COSTS, BandCost, IdoeCost, SmoothCost, TanhCost
+from steerkit.learning.costs import COSTS, BandCost, Cost, IdoeCost, SmoothCost, TanhCost
 from tests.support.records import ACTIONS, states
 
 
-def test_band_cost_by_hand() -> None:
-    e = [0.0, 0.049, -0.051, 0.4, -0.6]
-    c, terminal = BandCost()(states(e), np.ones(5), states(e))
-    assert c.tolist() == [0.0, 0.0, 0.01, 0.01, 1.0]
-    assert terminal.tolist() == [False, False, False, False, True]
-
-
-def test_idoe_cost_is_free_only_with_the_wheel_left_alone() -> None:
-    c, _ = IdoeCost()(states([0.0] * 3), np.array([0.0, -0.0, 0.1]), states([0.01, -0.01, 0.0]))
-    assert c.tolist() == [0.0, 0.0, 0.01]
-
-
-def test_tanh_cost_by_hand() -> None:
-    e = [0.0, 0.05, -0.05, 0.4, 0.51]
-    c, terminal = TanhCost()(states(e), np.zeros(5), states(e))
-    assert c == pytest.approx([0.0, 0.95 * 0.04, 0.95 * 0.04, 0.04, 1.0], abs=1e-12)
-    assert terminal.tolist() == [False] * 4 + [True]
-    moving, _ = TanhCost()(states(e), np.full(5, 0.1), states(e))
-    assert (moving - c) == pytest.approx([0.01] * 4 + [0.0])
-    shares, _ = TanhCost(action_unit=0.2)(states(e), np.array([0.1, -0.1, 0.2, 0.3, 0.3]), states(e))
-    assert (shares - c) == pytest.approx([0.005, 0.005, 0.01, 0.01, 0.0])
+@pytest.mark.parametrize(
+    ("cost", "e", "action", "costs"),
+    [
+        (BandCost(), [0.0, 0.049, -0.051, 0.4, -0.6], 1.0, [0.0, 0.0, 0.01, 0.01, 1.0]),
+        (IdoeCost(), [0.01, -0.01, 0.0], [0.0, -0.0, 0.1], [0.0, 0.0, 0.01]),  # free with the wheel left alone
+        (TanhCost(), [0.0, 0.05, -0.05, 0.4, 0.51], 0.0, [0.0, 0.95 * 0.04, 0.95 * 0.04, 0.04, 1.0]),
+        (TanhCost(), [0.0, 0.4, 0.51], 0.1, [0.01, 0.05, 1.0]),
+        (TanhCost(action_unit=0.2), [0.0] * 4, [0.1, -0.1, 0.2, 0.3], [0.005, 0.005, 0.01, 0.01]),
+    ],
+)
+def test_costs_by_hand(cost: Cost, e: list[float], action: Any, costs: list[float]) -> None:
+    c, terminal = cost(states([0.0] * len(e)), np.broadcast_to(action, len(e)), states(e))
+    assert c == pytest.approx(costs, abs=1e-12)
+    assert terminal.tolist() == [abs(one) > 0.5 for one in e]
 
 
 def test_a_well_is_as_wide_as_the_driving_is_good() -> None:
@@ -77,10 +72,3 @@ def test_costs_say_what_is_wrong() -> None:
         BandCost(goal=0.6)
     with pytest.raises(ValueError, match="action_cost"):
         TanhCost(action_cost=1.0)
-
-
-@pytest.mark.parametrize("kind", COSTS)
-def test_costs_look_at_where_the_car_came_to(kind: type) -> None:
-    c, terminal = kind()(states([0.6, 0.0]), np.zeros(2), states([0.0, 0.6]))
-    assert c.tolist() == [0.0, 1.0]
-    assert terminal.tolist() == [False, True]

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.diagram.simulation import Log
@@ -27,8 +26,6 @@ from steerkit.learning.pictures import (
     states,
     with_heading,
 )
-from steerkit.plots.animation import Moments, Scene
-from steerkit.plots.style import COLOURS
 from steerkit.scenario import Scenario
 from tests.support.short_run import FAST
 
@@ -103,33 +100,13 @@ def test_the_beginning_is_real_time_until_the_learner_has_the_wheel_again(run: L
     assert (squeezed < again + 4.0).sum() == pytest.approx(0.5 * len(squeezed), abs=2)
 
 
-def test_the_picture_says_what_the_log_says(run: LearningRun, log: Log) -> None:
-    t, failed = log.t, failed_at(run.counts.episodes, log)
-    scene = Scene(Moments.of_log(with_heading(run.path, log)), run.path, 2.7, 1.2, 15.6, 18.0)
-    for k in (1, int(failed[0]) + 3, int(failed[1]) - 2, len(t) - 2):
-        scene.show(float(t[k]), 1.0)
-        learns, failures = log["supervisor.learning"][k] > 0.5, int((failed <= k).sum())
-        who, when, *_, error = scene.words.get_text().split("\n")
-        assert who == f"the {'learner' if learns else 'recovery controller'} steers; {failures} failure" + "s" * (
-            failures != 1
-        )
-        assert when == f"t = {t[k]:.1f} s"
-        assert float(error.removeprefix("e = ").removesuffix(" m")) == pytest.approx(log["path.e"][k], abs=6e-4)
-        role = "learned" if learns else "analytic"
-        assert scene.trails[role].get_xydata()[-1] == pytest.approx((log["car.x"][k], log["car.y"][k]))
-        assert scene.lines[role].get_ydata()[-1] == log["path.e"][k]
-        assert to_hex(scene.car.shapes[-1].get_facecolor()) == COLOURS[role]
-
-
-def test_mistakes_teach(kept: Path, tmp_path: Path) -> None:
-    for file, options, says in (
-        ("run.gif", {"lasts": 1.0}, "lasts = 1.0 s, expected 2 to 120"),
-        ("run.gif", {"fps": 90.0}, "fps = 90.0, expected 1 to 60"),
-    ):
-        with pytest.raises(ValueError, match=says):
-            film_of(kept, tmp_path / file, **options)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="is no run directory"):
-        film_of(tmp_path, tmp_path / "run.gif")
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [({"lasts": 1.0}, "lasts = 1.0 s, expected 2 to 120"), ({"fps": 90.0}, "fps = 90.0, expected 1 to")],
+)
+def test_mistakes_teach(option: dict[str, float], says: str, kept: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=says):
+        film_of(kept, tmp_path / "run.gif", **option)
 
 
 def test_the_car_points_where_it_drives(run: LearningRun, log: Log) -> None:

@@ -15,11 +15,6 @@ from tests.support.stepped import run, run_fast
 TRUTH = (10.0, -3.0, 0.4, 6.0, 0.02, 0.3)
 
 
-def test_sensors_are_transparent_by_default():
-    ys, _ = run(Sensors(), [TRUTH, TRUTH[::-1]])
-    assert [tuple(y) for y in ys] == [(*TRUTH, 0.0), (*TRUTH[::-1], 0.0)]
-
-
 @pytest.mark.parametrize("latency", [0.05, 0.15])
 def test_latency_is_exact_and_starts_with_the_first_sample(latency):
     samples = [tuple(row) for row in np.random.default_rng(1).normal(size=(12, 6)).tolist()]

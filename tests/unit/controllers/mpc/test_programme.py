@@ -5,7 +5,6 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import casadi
@@ -15,12 +14,10 @@ import pytest
 from steerkit.controllers.mpc import programme as module
 from steerkit.controllers.mpc.block import FAILED, FALLBACK, MPC, NO_FAULT, SOLVED, PredictiveSteering
 from steerkit.controllers.mpc.path_model import CURVES, KAPPA_STEP, SPEEDS
-from steerkit.controllers.mpc.programme import DATA, FAR, NOTHING, PREDICTION, SOLUTION, StageQp, violation
+from steerkit.controllers.mpc.programme import DATA, NOTHING, PREDICTION, SOLUTION, violation
 from steerkit.plants.single_track import LinearSingleTrack
 from tests.support.places import ROOT
 from tests.support.predictive import CAR, STEERING, ahead, controller, driven, inputs, kinds, own, steady, table
-
-STATE = {"e": 0.3, "psi_e": -0.05, "r": 0.1, "v": 6.0, "kappa": 0.03}
 
 
 def question(block: PredictiveSteering, wanted: float, **values: float) -> Any:
@@ -52,29 +49,6 @@ def test_a_motion_that_is_not_finite_is_not_solved(kind: Any) -> None:
     assert block.programme(*question(block, SOLUTION, e=0.3))[0] == 1.0
 
 
-@kinds
-def test_the_motion_is_that_of_the_model(kind: Any) -> None:
-    """The states of a solution are those that the stage map gives: exactly, where it is linear."""
-    block = controller(kind)
-    state = block.X((0.5,) * block.waiting, (0.0,) * block.horizon, 0.0)
-    x = state.plan
-    for _ in range(6):  # a nonlinear plan converges
-        asked = block._asked(state._replace(plan=x), inputs(block, **STATE), SOLUTION)
-        x = tuple(block.programme(*asked)[10:])
-    found = block.programme.found
-    stages = np.append(found["ahead"][:6], found["z"][block.qp.statement.states]).reshape(-1, 6)
-    between = found["then"].reshape(-1, 7)[block.waiting + block.horizon + 1 :]
-    a, b, _, _ = table(block, 6.0)
-    step = block.model.affine_step(2)
-    for k in range(block.horizon):
-        if kind.__name__ == "MPC":
-            after = between[k, :6] + a @ (stages[k] - between[k, :6]) + b * x[k]
-        else:
-            after = step(stages[k], x[k], asked[-3], between[k, 6])[0].full().ravel()
-        np.testing.assert_allclose(stages[k + 1], after, atol=1e-6)
-    assert np.abs(stages[:, 0]).max() > 0.1
-
-
 def test_the_path_ahead_is_read_where_the_pace_of_its_bends_gets_to() -> None:
     """Against NumPy's interpolation, on a path that winds ever tighter."""
     block = controller()
@@ -88,17 +62,6 @@ def test_the_path_ahead_is_read_where_the_pace_of_its_bends_gets_to() -> None:
     assert np.ptp(np.diff(knots)) > 1e-4
 
 
-def test_steady_cornering_between_tabled_speeds_and_curvatures_is_linear() -> None:
-    block = controller()
-    i, t = np.divmod(5.1 - SPEEDS[0], SPEEDS[1] - SPEEDS[0])
-    t /= SPEEDS[1] - SPEEDS[0]
-    low, high = (steady(block, float(v), KAPPA_STEP * (np.arange(CURVES) - CURVES // 2)) for v in SPEEDS[int(i) :][:2])
-    for place in (0.0, 0.25, 3.5, -7.75, CURVES):
-        at = np.clip(place + CURVES // 2, 0, CURVES - 1)
-        expected = [np.interp(at, np.arange(CURVES), (1.0 - t) * a + t * b) for a, b in zip(low.T, high.T)]
-        np.testing.assert_allclose(steady(block, 5.1, [place * KAPPA_STEP])[0], expected, atol=1e-12)
-
-
 @kinds
 def test_where_the_tyres_cannot_hold_a_bend_the_wheel_stays_where_they_do_their_best(kind: Any) -> None:
     block = controller(kind)
@@ -106,19 +69,6 @@ def test_where_the_tyres_cannot_hold_a_bend_the_wheel_stays_where_they_do_their_
     turns = np.diff([steady(block, float(v), bends)[:, 4] for v in SPEEDS], axis=1) / block.steer_ratio
     assert turns.min() > -1e-12
     assert turns.max() < 0.1
-
-
-@pytest.mark.parametrize("v", [0.5, 0.74, 3.0, 20.0, 30.0])
-def test_a_slow_car_is_driven_in_more_steps(v: float) -> None:
-    """So many that Runge-Kutta's method is stable for the fastest of the car's rates (2.785)."""
-    block = controller()
-    model = block.model
-    x = casadi.MX.sym("v")
-    steps = model.all_substeps[int(casadi.Function("which", [x], [model.which_substeps(x)])(v))]
-    rates = np.linalg.eigvals(model._slopes(min(v, 20.0))[0].full()[:, :4])
-    assert steps >= 2
-    assert np.abs(rates).max() * block.dt / steps <= 2.3 + 1e-9
-    assert steps == 2 or np.abs(rates).max() * block.dt / (steps - 1) > 2.3 * (1.0 - 0.5 / v)
 
 
 @pytest.mark.parametrize("car", [CAR, LinearSingleTrack(vehicle=CAR.vehicle)], ids=["nonlinear", "linear"])
@@ -141,38 +91,6 @@ def test_the_model_has_the_numbers_written_down(car: Any) -> None:
 
 
 # ---- what it states -------------------------------------------------------------------------------------------------
-
-
-def test_the_numbers_are_those_of_the_stated_cost_and_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At a random z of three stages, the second with soft limits, against the formulas of the docstring."""
-    q, q_slack = (1.0, 0.5, 0.0, 0.2, 0.0, 0.0), (10.0, 100.0)
-    weights = dict(q_e=1.0, q_psi=0.5, q_r=0.2, q_rate=0.3, q_e_limit=10.0, q_a_y_limit=100.0)
-    monkeypatch.setattr(module, "_SOFT_FIRST", 1)
-    qp = StageQp(SimpleNamespace(horizon=3, limit=8.0, e_limit=0.5, **weights))
-    random = np.random.default_rng(1)
-    a, b, gap, slope = (random.normal(size=(6, n)) for n in (12, 3, 3, 3))
-    row, half = random.normal(size=(6, 1)), random.normal(size=(6, 6))
-    p, low, high, fastest = half @ half.T, -1.5, 2.5, 4.0
-    data = {
-        name: np.array(casadi.DM(value))
-        for name, value in zip(DATA, qp.statement.data(a, b, gap, slope, row, low, high, p, fastest))
-    }
-    z = random.normal(size=(len(data["g"]), 1))
-    rates, x = z[qp.statement.rates, 0], z[qp.statement.states, 0].reshape(3, 6).T
-    slack = z[[8, 9], 0]  # u_0, six states, the rate of u_1
-    cost = 0.5 * (z.T @ data["h"] @ z) + data["g"].T @ z
-    expected = 0.5 * (0.3 * rates @ rates + q_slack @ slack**2 + x[:, 2] @ p @ x[:, 2]) + (slope * x).sum()
-    expected += 0.5 * sum(np.array(q) @ x[:, k] ** 2 for k in (0, 1))
-    assert cost.item() == pytest.approx(expected, rel=1e-12)
-    moved = [b[:, 0] * rates[0] - x[:, 0]]
-    moved += [a[:, 6 * k : 6 * k + 6] @ x[:, k] + b[:, k + 1] * rates[k + 1] - x[:, k + 1] for k in (0, 1)]
-    soft = [x[0, 0] - slack[0], row[:, 0] @ x[:, 0] - slack[1]]
-    np.testing.assert_allclose((data["a"] @ z)[:, 0], [*moved[0], *moved[1], *soft, *moved[2]], atol=1e-12)
-    for name, limits in (("lba", (-0.5, low)), ("uba", (0.5, high))):
-        np.testing.assert_array_equal(data[name][:, 0], [*gap[:, 0], *gap[:, 1], *limits, *gap[:, 2]])
-    far = [FAR] * 5 + [8.0]
-    np.testing.assert_array_equal(data["ubx"][:, 0], [fastest, *far, fastest, FAR, FAR, *far, fastest, *far])
-    np.testing.assert_array_equal(data["lbx"], -data["ubx"])
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

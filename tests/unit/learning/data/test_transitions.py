@@ -1,6 +1,7 @@
 """The record of transitions: it grows, it refuses nonsense, and it comes back from disk as it was."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,24 +38,27 @@ def test_views_are_contiguous_read_only_and_stay_valid() -> None:
     assert record.s.shape == (5010, 6)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_non_finite_rows_are_refused_by_name_and_leave_nothing(value: float) -> None:
+ZEROS = np.zeros(6)
+BROKEN = np.array([0.0, 0.0, 0.0, np.nan, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("s", "a", "s_next", "episode", "words"),
+    [
+        (BROKEN, 0.0, ZEROS, 0, r"s\.psi_e = nan in row 0"),
+        (ZEROS, 0.0, BROKEN, 0, r"s_next\.psi_e"),
+        (ZEROS, np.inf, ZEROS, 0, r"a = .*\[rad\]"),
+        (ZEROS[:5], 0.0, ZEROS, 0, r"expected \(1, 6\): e, e_dot, v, psi_e, r_e, doe"),
+        (ZEROS, 0.0, ZEROS, [1, 2, 3], "broadcast"),
+    ],
+)
+def test_rows_that_are_none_are_refused_by_name_and_leave_nothing(
+    s: Any, a: float, s_next: Any, episode: Any, words: str
+) -> None:
     record = drive(3)
-    s = np.zeros(6)
-    bad = s.copy()
-    bad[3] = value
-    with pytest.raises(ValueError, match=r"s\.psi_e = (nan|inf) in row 0"):
-        record.append(bad, 0.0, s, 0)
-    with pytest.raises(ValueError, match=r"s_next\.psi_e"):
-        record.append(s, 0.0, bad, 0)
-    with pytest.raises(ValueError, match=r"a = .* \[rad\]"):
-        record.append(s, value, s, 0)
-    assert len(record) == 3
-
-
-def test_wrong_shapes_are_refused_with_the_columns() -> None:
-    with pytest.raises(ValueError, match=r"expected \(1, 6\): e, e_dot, v, psi_e, r_e, doe"):
-        Transitions().append(np.zeros(5), 0.0, np.zeros(6), 0)
+    with pytest.raises(ValueError, match=words):
+        record.extend(s[None], [a], s_next[None], episode)
+    assert [len(getattr(record, name)) for name in ARRAYS] == [3] * 5
 
 
 def test_saved_and_loaded_bit_for_bit(tmp_path: Path) -> None:
@@ -91,10 +95,3 @@ def test_foreign_files_are_named(tmp_path: Path) -> None:
         Transitions.load(file)
     with pytest.raises(FileNotFoundError):
         Transitions.load(tmp_path / "nothing.npz")
-
-
-def test_a_wrong_number_of_episodes_leaves_nothing() -> None:
-    record = drive(3)
-    with pytest.raises(ValueError, match="broadcast"):
-        record.extend(np.ones((2, 6)), np.ones(2), np.ones((2, 6)), [1, 2, 3])
-    assert [len(getattr(record, name)) for name in ARRAYS] == [3] * 5

@@ -84,12 +84,6 @@ def test_without_nets_the_target_is_the_cost() -> None:
     assert targets(problem(), record) == pytest.approx([0.01, 0.01, 1.0])
 
 
-def test_one_step_targets_by_hand() -> None:
-    record = chain([0.0, 0.1, 0.02, 0.7], [0, 0, 0])
-    y = targets(problem(discount=0.9), record, [level(0.4)])
-    assert y == pytest.approx([0.01 + 0.9 * 0.4, 0.9 * 0.4, 1.0], abs=1e-6)
-
-
 @given(n=st.integers(1, 6), discount=st.floats(0.0, 0.99))
 def test_n_step_targets_equal_the_sum_written_out_within_zero_and_one(n: int, discount: float) -> None:
     record, cost = recorded(60, seed=1), BandCost(trip=0.35, step=0.2)
