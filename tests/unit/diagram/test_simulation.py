@@ -46,17 +46,6 @@ def test_every_keeps_one_tick_in_so_many() -> None:
     assert simulate(LOOP, 0.5, state=state, every=5).t == pytest.approx([0.25, 0.5])
 
 
-def test_a_run_may_keep_nothing() -> None:
-    state = simulate(LOOP, 0.05).state
-    log = simulate(LOOP, 0.1, state=state, every=100)
-    assert len(log.t) == 0
-    assert log["wave.v"].shape == (0,)
-    assert log.state is not None
-    assert log.state.k == 3
-    assert "empty" in repr(log)
-    assert len(log.to_pandas()) == 0
-
-
 def test_until_ends_after_the_first_sample_that_it_accepts() -> None:
     seen: list[float] = []
 

@@ -131,13 +131,3 @@ def test_zeros_stay_known_where_a_ratio_is_forgotten() -> None:
     for name, prior in (("offset", block.offset_prior), ("rate_zero", block.rate_zero_prior)):
         widened = math.sqrt(after[name].deviation ** 2 - before[name].deviation ** 2)
         assert widened == pytest.approx(walk * prior, rel=0.05)
-
-
-def test_while_the_delay_is_hardly_known_fast_turns_count_for_less() -> None:
-    """Given 0.15 s too little, and how sure that is: the interval still holds the ratio."""
-    signals = sensed(drive(20.0, delay=0.3)) | {"delay": np.full(400, 0.15)}
-    sure, unsure = (
-        found(driven_fast(BLOCK, signals | {"delay_deviation": np.full(400, d)}))["ratio"] for d in (0.0, 0.1)
-    )
-    assert unsure.deviation > 1.2 * sure.deviation
-    assert unsure.low <= 1.2 <= unsure.high

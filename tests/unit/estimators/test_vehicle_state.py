@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from steerkit.diagram.units import radians_of
-from steerkit.estimators import vehicle_state
 from steerkit.estimators.single_track_filter import SingleTrackFilter
 from steerkit.estimators.vehicle_state import VehicleState
 from steerkit.metrics.signals import rms
@@ -263,20 +262,6 @@ def test_zeros_are_found_and_said_to_be_known() -> None:
         assert y[f"{name}_valid"][0] == 0.0
         assert y[f"{name}_valid"][-1] == 1.0
     assert quantities(block) == ("gyro_zero", "heading_bias", "wheel_offset")
-
-
-def test_a_car_that_is_not_as_told_is_doubted_and_sensors_are_trusted_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    tape = driven(5, ratio=1.25)
-    y = outputs(FILTER, tape.rows())
-    with monkeypatch.context() as trusts:
-        trusts.setattr(vehicle_state, "DOUBT_FROM", 1e4)
-        trusting = outputs(replace(FILTER), tape.rows())
-    side, heading = (rms(error[200:]) for error in errors(tape, y))
-    blind_side, blind_heading = (rms(error[200:]) for error in errors(tape, trusting))
-    assert (y["doubt"][200:] > 0.0).mean() > 0.3
-    assert side < 1.1 * blind_side
-    assert heading < 0.6 * blind_heading
-    assert (outputs(FILTER, driven(5).rows())["doubt"][200:] > 0.0).mean() < 0.1
 
 
 @pytest.mark.parametrize(

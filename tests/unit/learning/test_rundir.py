@@ -53,15 +53,6 @@ def test_an_experiment_survives_its_plain_form(name: str) -> None:
     assert rundir.from_plain(data, "test") == experiment
 
 
-def test_a_sparse_configuration_takes_the_defaults() -> None:
-    sparse = {"minutes": 3.0, "setting": {"fit": {"nets": 1}, "cost": {"kind": "IdoeCost"}}}
-    experiment = rundir.from_plain(sparse, "my.toml", Experiment)
-    assert experiment.minutes == 3.0
-    assert experiment.setting.cost == PAPER.cost
-    assert experiment.setting.fit.nets == 1
-    assert experiment.scenario == Scenario()
-
-
 CURT = replace(SHORT.setting, fit=FitSetting(epochs=3, mirror=True, nets=1), fit_seconds=0.5)
 RUNS = {
     "carried back": Experiment(setting=replace(CURT, after_failure="reset", reset_seconds=5.0), minutes=0.5, seed=3),

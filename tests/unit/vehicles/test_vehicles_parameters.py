@@ -57,8 +57,6 @@ def test_named_cars():
     assert VW_PASSAT.wheelbase == pytest.approx(2.71)
     with pytest.raises(ValueError, match=r"'pasat' is not known \(did you mean 'vw-passat'\?\); valid: vw-passat, bmw"):
         vehicle("pasat")
-    with pytest.raises(ValueError, match="'zzz' is not known; valid: vw-passat"):
-        vehicle("zzz")
 
 
 @pytest.mark.parametrize(("m", "wheelbase"), [(1462.0, 2.7), (1639.0, 2.71), (900.0, 2.3)])

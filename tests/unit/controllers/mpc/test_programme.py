@@ -17,7 +17,7 @@ from steerkit.controllers.mpc.path_model import CURVES, KAPPA_STEP, SPEEDS
 from steerkit.controllers.mpc.programme import DATA, NOTHING, PREDICTION, SOLUTION, violation
 from steerkit.plants.single_track import LinearSingleTrack
 from tests.support.places import ROOT
-from tests.support.predictive import CAR, STEERING, ahead, controller, driven, inputs, kinds, own, steady, table
+from tests.support.predictive import CAR, STEERING, controller, driven, inputs, kinds, own, steady, table
 
 
 def question(block: PredictiveSteering, wanted: float, **values: float) -> Any:
@@ -47,19 +47,6 @@ def test_a_motion_that_is_not_finite_is_not_solved(kind: Any) -> None:
     answer = block.programme(*asked)
     assert (*answer[:3], {*answer[10:]}) == (0.0, 0.0, math.inf, {0.0})
     assert block.programme(*question(block, SOLUTION, e=0.3))[0] == 1.0
-
-
-def test_the_path_ahead_is_read_where_the_pace_of_its_bends_gets_to() -> None:
-    """Against NumPy's interpolation, on a path that winds ever tighter."""
-    block = controller()
-    preview = 0.1 * np.linspace(0.0, 1.0, block.preview_points) ** 2
-    u = inputs(block, v=4.2)._replace(preview=tuple(preview.tolist()))
-    _, then = ahead(block, u)
-    half = 0.5 * block.dt / steady(block, 4.2, preview)[:, 6]
-    knots = 2.0 * np.cumsum(half) - half - half[0]
-    np.testing.assert_allclose(then[:, 6], np.interp(block.programme.times, knots, preview), atol=1e-12)
-    np.testing.assert_allclose(then[:, :6], steady(block, 4.2, then[:, 6])[:, :6], atol=1e-12)
-    assert np.ptp(np.diff(knots)) > 1e-4
 
 
 @kinds
