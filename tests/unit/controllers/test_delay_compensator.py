@@ -19,9 +19,9 @@ TORQUE = replace(FAST, lead=1.2, fade=0.5, most=4.0, slew=7.0)
 """One whose steering overshoots and is slow."""
 
 
-def driven(car: DelayCompensator, n: int = 80, seed: int = 0) -> tuple[list[Any], list[CourseMotion]]:
+def driven(car: DelayCompensator, n: int = 80) -> tuple[list[Any], list[CourseMotion]]:
     """What is seen of a car of these numbers at n samples, and its motion; steered at random through its dead time."""
-    rng, speed = np.random.default_rng(seed), 5.0
+    rng, speed = np.random.default_rng(0), 5.0
     doe = np.concatenate((np.zeros(20), 0.2 * np.cumsum(rng.normal(size=n + 20))))  # doe[k + 20]: known at sample k
     doe[20] = 0.0
     u, slow = doe.copy(), 0.0

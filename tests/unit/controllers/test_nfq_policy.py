@@ -25,8 +25,8 @@ POLICIES = [
 policies = pytest.mark.parametrize("policy", POLICIES, ids=range(len(POLICIES)))
 
 
-def cars(n: int, seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
+def cars(n: int) -> np.ndarray:
+    rng = np.random.default_rng(0)
     spread = np.array([[0.6], [2.0], [4.0], [0.5], [0.5], [8.0]])
     return rng.uniform(-1.0, 1.0, (6, n)) * spread + np.array([[0.0], [0.0], [5.0], [0.0], [0.0], [0.0]])
 

@@ -244,10 +244,10 @@ class Adversary(Block):
         return self.Y(side * STOP + 0.0 * u.e)
 
 
-def driven(kind: str, scenario: Scenario, *, seconds: float = 5.0, **settings: Any) -> Log:
+def driven(kind: str, scenario: Scenario, **settings: Any) -> Log:
     design_model = scenario.design_model()
     block = SafetyFilter.of(design_model.vehicle, delay=design_model.delay, lag=design_model.lag, **settings)
-    return simulate(assembled(scenario, Adversary(kind=kind), safety=block), seconds, every=5)
+    return simulate(assembled(scenario, Adversary(kind=kind), safety=block), 5.0, every=5)
 
 
 WORST = Scenario.under(
@@ -308,11 +308,9 @@ def test_where_nothing_new_is_safe_the_plan_goes_on_and_then_the_backup_steers()
     assert block.output(0.0, block.update(0.0, dropped, u, recovered), lost).reason == 3.0
 
 
-def followed(
-    block: SafetyFilter, late: int, gain: float, *, seconds: float = 8.0, seed: int = 0
-) -> tuple[Any, list[Any]]:
+def followed(block: SafetyFilter, late: int, gain: float, *, seconds: float = 8.0) -> tuple[Any, list[Any]]:
     """The last state and the outputs of a filter that passes all, whose car is its model, late, with another gain."""
-    model, rng, soonest = block.backup.model, np.random.default_rng(seed), round(block.backup.model.delay / block.dt)
+    model, rng, soonest = block.backup.model, np.random.default_rng(0), round(block.backup.model.delay / block.dt)
     sent, wheel, r, said = [0.0] * (soonest + late + 1), 0.0, 0.0, list[Any]()
     share, wide = 1.0 - math.exp(-block.dt / model.lag), replace(block, bound=90.0)
     x = wide.settle(0.0, wide.init(), wide.D(**{**HERE, "preview": (0.0,) * block.preview_points}))

@@ -15,8 +15,8 @@ from steerkit.diagram.simulation import Log, NonFiniteError, check_finite, joine
 from tests.support.parts import Count, Delay, Gain, Pair, Sum, Wave
 
 
-def loop_of(rate: Any = 0.7, k: Any = 2.0) -> Loop:
-    wave, gain, slow, total, pair = Wave(rate=rate), Gain(k=k), Delay(dt=0.1), Sum(), Pair()
+def loop_of() -> Loop:
+    wave, gain, slow, total, pair = Wave(), Gain(k=2.0), Delay(dt=0.1), Sum(), Pair()
     wires = [(wave.v, gain.u), (gain.y, slow.u), (slow.y, total.u), (gain.y, pair.u)]
     return Loop(blocks={"wave": wave, "gain": gain, "slow": slow, "total": total, "pair": pair}, wires=wires)
 

@@ -22,9 +22,9 @@ def found(x: Any) -> dict[str, Estimated]:
     return {name: estimated(y, name) for name in quantities(BLOCK)}
 
 
-def sensed(signals: Signals, zero: float = 0.0, seed: int = 0) -> Signals:
+def sensed(signals: Signals, zero: float = 0.0) -> Signals:
     """With the noise of hard sensors, and a gyro whose zero is wrong [rad/s]."""
-    rng, n = np.random.default_rng(seed), len(signals["r"])
+    rng, n = np.random.default_rng(0), len(signals["r"])
     r = signals["r"] + zero + rng.normal(0.0, BLOCK.noise, n)
     return signals | {"r": r, "psi": signals["psi"] + rng.normal(0.0, BLOCK.psi_noise, n)}
 

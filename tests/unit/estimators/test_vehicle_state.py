@@ -44,9 +44,9 @@ class Tape:
 
 
 @lru_cache(maxsize=16)
-def driven(seed: int | None = 1, seconds: float = 40.0, v: float = 6.0, ratio: float = 1.0, wheel: float = 1.0) -> Tape:
+def driven(seed: int | None = 1, seconds: float = 40.0, v: float = 6.0, wheel: float = 1.0) -> Tape:
     """A car that winds along, with `hard` sensors of a seed, or perfect ones."""
-    car = replace(PLANT, vehicle=replace(VW_PASSAT, steer_ratio=ratio * VW_PASSAT.steer_ratio), v0=v)
+    car = replace(PLANT, v0=v)
     sensors = Sensors() if seed is None else replace(Sensors.hard(seed), latency=0.0)
     x: Any = car.init()
     state: Any = None
@@ -114,7 +114,7 @@ def test_it_is_nearer_to_the_truth_than_what_is_measured_and_says_how_near() -> 
     assert np.mean(nis) == pytest.approx(1.0, abs=0.06)
 
 
-def shuffled(rows: list[list[float]], late: Callable[[int], int], blind: int = 7) -> list[list[float]]:
+def shuffled(rows: list[list[float]], late: Callable[[int], int]) -> list[list[float]]:
     """The same measurements, that of sample k arriving late(k) samples later; at most one a sample."""
     arriving: dict[int, list[float]] = {}
     for k, row in enumerate(rows):
@@ -122,7 +122,7 @@ def shuffled(rows: list[list[float]], late: Callable[[int], int], blind: int = 7
         assert at not in arriving
         age = row[3] + late(k) * DT
         arriving[at] = [*row[:3], age, *row[4:6], age]
-    return [[*arriving.get(k, [NAN] * blind), row[7]] for k, row in enumerate(rows)]
+    return [[*arriving.get(k, [NAN] * 7), row[7]] for k, row in enumerate(rows)]
 
 
 def test_order_and_lateness_within_the_horizon_do_not_matter() -> None:

@@ -33,8 +33,8 @@ def job(number: int, **changes: Any) -> Job:
     return Job(number=number, seed=number, transitions=transitions, problem=replace(PROBLEM, cost=cost))
 
 
-def expected(number: int, nets: Nets = (), rows: Transitions | None = None) -> Nets:
-    return nfq.iterate(rows or recorded(), PROBLEM, nets, seed=number)
+def expected(number: int, nets: Nets = ()) -> Nets:
+    return nfq.iterate(recorded(), PROBLEM, nets, seed=number)
 
 
 def same(nets: Nets | None, others: Nets) -> bool:

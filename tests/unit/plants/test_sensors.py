@@ -73,9 +73,9 @@ def standing(samples: int) -> np.ndarray:
     return np.tile([1.0, 2.0, 0.3, 5.0, 0.01, 0.2], (samples, 1))
 
 
-def moving(samples: int, sensors: Sensors, v: float = 10.0) -> np.ndarray:
+def moving(samples: int, sensors: Sensors) -> np.ndarray:
     truth = standing(samples)
-    truth[:, 0] = v * sensors.dt * np.arange(samples)
+    truth[:, 0] = 10.0 * sensors.dt * np.arange(samples)
     return truth
 
 

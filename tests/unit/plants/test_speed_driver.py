@@ -78,8 +78,8 @@ def test_a_careful_driver_on_an_open_course_does_not_brake_for_its_own_start() -
     assert slow < 7.5
 
 
-def careful(path: Path, s: np.ndarray, fastest: float = 30.0) -> np.ndarray:
-    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=fastest, v_max=fastest))
+def careful(path: Path, s: np.ndarray) -> np.ndarray:
+    driver = CurveSpeedDriver(path=path, driver=SpeedDriver(v_min=30.0, v_max=30.0))
     return driver.output(0.0, driver.init((len(s),)), driver.D(s)).v
 
 

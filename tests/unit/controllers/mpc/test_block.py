@@ -48,8 +48,8 @@ STEADY = ConstantSpeed(speed=6.0)
 STOPS = recorded_speed((5.0, 0.0, 0.0, 5.0, 5.0), spacing=1.0)
 
 
-def loop_of(block: PredictiveSteering, driver: Any = STEADY, path: Any = None, **start: float) -> Loop:
-    return looped(block, path or circle(30.0), 5.0, MOTOR.delay, car=CAR, driver=driver, **({"e": 0.4} | start))
+def loop_of(block: PredictiveSteering, driver: Any = STEADY) -> Loop:
+    return looped(block, circle(30.0), 5.0, MOTOR.delay, car=CAR, driver=driver, e=0.4)
 
 
 # ---- what comes in --------------------------------------------------------------------------------------------------

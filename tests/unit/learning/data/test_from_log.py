@@ -33,18 +33,18 @@ class Recording:
         return self.v >= 3.0
 
 
-def steered(wheel: Array, *, late: float = 0.15, offset: float = 0.0, noise: float = 0.0, v: float = 6.0) -> Recording:
+def steered(wheel: Array, *, late: float = 0.15, offset: float = 0.0, noise: float = 0.0) -> Recording:
     """What a car on rails does that answers its wheel `late` after it."""
     t = np.arange(len(wheel)) * 0.05
-    speed = v + 0.5 * np.sin(0.1 * t)
+    speed = 6.0 + 0.5 * np.sin(0.1 * t)
     road = (np.interp(t - late, t, wheel) + offset) / float(CAR.steer_ratio)
     r = speed * road / float(CAR.wheelbase) + noise * np.random.default_rng(1).standard_normal(len(t))
     return Recording(delta_sw=wheel, v=speed, r=r)
 
 
-def slalom(t: Array = T, size: float = 1.5) -> Array:
+def slalom(t: Array = T) -> Array:
     """A wheel that is turned to and fro, at changing pace."""
-    return np.asarray(size * np.sin(t + 3.0 * np.sin(0.15 * t)))
+    return np.asarray(1.5 * np.sin(t + 3.0 * np.sin(0.15 * t)))
 
 
 def recorded(drive: Recording, **late: float) -> Transitions:
