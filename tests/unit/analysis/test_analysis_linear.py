@@ -94,8 +94,6 @@ def test_a_linear_loop_answers_a_step_as_its_simulation_does() -> None:
 
 
 def test_mistakes_are_told() -> None:
-    with pytest.raises(KeyError, match=r"did you mean 'plant.y'"):
-        break_at(hand_built(), "plants.y")
     with pytest.raises(ValueError, match=r"cut at plant.y, which is not among the inputs"):
         linearise(hand_built(), inputs=["law.y"], outputs=["plant.y"], cut=["plant.y"])
     with pytest.raises(ValueError, match=r"path.e does not act back on itself"):
@@ -104,8 +102,6 @@ def test_mistakes_are_told() -> None:
         break_at(steered(), "controller_path.preview")
     with pytest.raises(ValueError, match="multiple of the loop's period 5"):
         break_at(steered(), "controller.delta_sw", at=simulate(steered(), 0.03).state)
-    with pytest.raises(ValueError, match="the closed loop is unstable"):
-        margins(control.ss([[2.5]], [[1.0]], [[1.0]], [[0.0]], 0.05))
     with pytest.raises(ValueError, match=r"dt = 0.1 s, but the system has 0.05 s"):
         FromControl(system=PLANT, dt=0.1)
     with pytest.raises(ValueError, match="units for w; ports: u, y"):

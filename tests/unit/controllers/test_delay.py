@@ -21,15 +21,16 @@ from tests.support.straight_road import PASSAT, looped
 AT_REST: dict[str, Any] = {"e": 0.0, "psi_e": 0.0, "v": 6.0, "r": 0.0, "delta_sw_meas": 0.0}
 
 
-def ahead(block: DelayPredictor, commands: tuple[float, ...], **u: Any) -> dict[str, Any]:
+def ahead(block: DelayPredictor, commands: tuple[float, ...], r_model: float | None = None, **u: Any) -> dict[str, Any]:
+    """What is predicted; r_model: the yaw rate that the model has, if not the car's."""
     signals = {"preview": (0.0,) * block.preview_points} | AT_REST | u
-    return block.predict(signals["r"], commands, block.D(**signals))
+    return block.predict(signals["r"] if r_model is None else r_model, commands, block.D(**signals))
 
 
 def around(delay: float, lag: float, **changes: Any) -> DelayPredictor:
     made = DelayPredictor.around(Stanley.of(PASSAT), PASSAT, delay=delay, lag=lag)
-    own = {name: changes.pop(name) for name in ("block", "preview_points") if name in changes}
-    return replace(made, model=replace(made.model, **changes), **own)
+    points = changes.pop("preview_points", made.preview_points)
+    return replace(made, model=replace(made.model, **changes), preview_points=points)
 
 
 def without_slew(block: DelayPredictor) -> DelayPredictor:
@@ -59,7 +60,7 @@ def test_the_wheel_answers_as_the_actuator_does(delay: float, lag: float, first:
 def test_what_the_model_has_wrong_of_the_yaw_rate_it_has_wrong_all_the_way(wrong: float) -> None:
     """Wheel straight and held, the model at rest, the car turning: it goes on turning, and psi_e grows by r T."""
     block, time = around(0.2, 0.1), 0.3
-    found = block.predict(0.0, (0.0,) * 4, block.D(**AT_REST | {"r": wrong, "preview": (0.0,) * block.preview_points}))
+    found = ahead(block, (0.0,) * 4, 0.0, r=wrong)
     assert found["r"] == pytest.approx(wrong)
     assert found["psi_e"] == pytest.approx(wrong * time)
 
@@ -69,15 +70,15 @@ def test_a_steady_bend_of_a_car_with_another_ratio_stays_one(share: float) -> No
     """The model thinks the wheel turns the car at r; the car turns at `share` times that, and will go on to."""
     block, v, wheel = around(0.2, 0.1), 6.0, 1.5
     r_model = yaw_gain(v, block.model.wheelbase, block.model.understeer) * math.tan(wheel / block.model.steer_ratio)
-    u = AT_REST | {"r": share * r_model, "delta_sw_meas": wheel, "preview": (0.0,) * block.preview_points}
-    assert block.predict(r_model, (wheel,) * 4, block.D(**u))["r"] == pytest.approx(share * r_model)
+    found = ahead(block, (wheel,) * 4, r_model, r=share * r_model, delta_sw_meas=wheel)
+    assert found["r"] == pytest.approx(share * r_model)
 
 
 @pytest.mark.parametrize("r", [0.5, -0.3])
 def test_a_turn_off_a_straight_path_is_an_arc(r: float) -> None:
     """At a steady r, with the front axle `lever` ahead of the point that rolls: e = v/r (1 - cos rT) + lever sin rT."""
     block, v, time = around(0.2, 0.1, rear_slip=0.0), 6.0, 0.3
-    found = block.predict(0.0, (0.0,) * 4, block.D(**AT_REST | {"r": r, "preview": (0.0,) * block.preview_points}))
+    found = ahead(block, (0.0,) * 4, 0.0, r=r)
     lever = block.reference + block.model.l_r
     assert found["e"] == pytest.approx(v / r * (1.0 - math.cos(r * time)) + lever * math.sin(r * time), abs=1e-3)
 
@@ -86,7 +87,7 @@ def test_the_curvature_of_a_step_is_that_of_its_middle() -> None:
     """Straight on where the path begins to bend, kappa = a t: psi_e falls by v a T^2/2."""
     block, v, time, a = around(0.2, 0.1), 6.0, 0.3, 0.01
     preview = tuple(a * 0.05 * i for i in range(block.preview_points))
-    found = block.predict(0.0, (0.0,) * 4, block.D(**AT_REST | {"preview": preview}))
+    found = ahead(block, (0.0,) * 4, preview=preview)
     assert found["psi_e"] == pytest.approx(-v * a * time**2 / 2.0, rel=1e-3)
     assert found["kappa"] == pytest.approx(a * time)
 

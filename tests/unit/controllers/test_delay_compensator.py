@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, CourseMotion, DelayCompensator, moved
+from steerkit.controllers.delay_compensator import LENGTH, LONGEST, PREVIEW, CourseMotion, DelayCompensator, felt, moved
 from steerkit.controllers.nfq_policy import NfqPolicy
 from steerkit.learning.nfq.rprop import new_net
 from steerkit.task import DT
@@ -69,6 +69,20 @@ def test_a_filtered_motion_begins_as_it_is_measured() -> None:
     u = SimpleNamespace(e=0.2, e_dot=v * 0.03, v=v, psi_e=0.0, r_e=v * w / LENGTH, doe=doe, preview=(0.0,) * PREVIEW)
     e, e_dot, _, psi_e, r_e, _ = car.ahead(car.at_first(u), u)
     assert (e, e_dot, psi_e, r_e) == pytest.approx((u.e, u.e_dot, 0.03 - w, u.r_e), abs=1e-12)
+
+
+def test_a_step_overshoots_comes_back_and_takes_its_time() -> None:
+    car, v = replace(CAR, lead=0.5, fade=0.1), 2.0
+    u, slow, seen = 0.0, 0.0, []
+    for _ in range(20):
+        u, slow = felt(car, 1.0, slow, u, v)
+        seen.append(u)
+    np.testing.assert_allclose(seen, 1.0 + 0.5 * 0.9 ** np.arange(20), rtol=1e-12)
+    assert felt(replace(car, most=0.8), 1.0, 0.0, 0.0, v) == (pytest.approx(1.2), pytest.approx(0.1))
+    assert felt(replace(car, slew=0.8), 1.0, 0.0, 0.3, v)[0] == pytest.approx(0.5)
+    assert felt(replace(car, slew=0.8), -1.0, 0.0, 0.3, v)[0] == pytest.approx(0.1)
+    assert felt(CAR, 0.123, 9.0, 9.0, v) == (0.123, 9.0), "a car without feels the wheel's angle, to the last bit"
+    assert felt(car, 0.3, float("nan"), float("nan"), v) == (0.3, 0.3)
 
 
 @pytest.mark.parametrize("v", [6.0, 20.0, 40.0])

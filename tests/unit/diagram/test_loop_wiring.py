@@ -25,7 +25,6 @@ MISTAKES: list[tuple[str, dict[Any, Any], list[Any]]] = [
         BOTH | {"angle": ANGLE},
         [(COUNT.n, ANGLE.u)],
     ),
-    ("doe.action [rad] is not driven; outputs with that unit: doe.delta_sw, doe.state", {"doe": DOE}, []),
     (
         "gain.u [m] has two sources: count.n [m] and other.n [m]",
         BOTH | {"other": OTHER},

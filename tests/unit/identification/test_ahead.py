@@ -88,16 +88,6 @@ def test_on_a_steady_circle_only_kinematics_is_wrong() -> None:
     assert max(answer.errors["lateral"]["model"]) < 1e-3
 
 
-def test_kinematics_is_right_at_low_speed() -> None:
-    """Its yaw rate is wrong by the share K v^2/L, 1 % here; and so is how far it gets aside."""
-    drive = made(np.where(T < 6.0, 0.0, 1.5 * np.sin(0.5 * (T - 6.0))), 3.2)
-    answer = judged(drive)
-    aside = np.array(answer.errors["lateral"]["persistence"])
-    assert aside[-1] > 0.1
-    assert answer.errors["lateral"]["kinematics"][-1] < 0.05 * aside[-1]
-    assert max(answer.errors["v_y"]["kinematics"]) < 0.01
-
-
 def test_persistence_is_late_by_half_r_v_t_squared_into_a_circle() -> None:
     """From a start s before it, r v (t - s)^2/2 aside: over N starts an RMS of r v/2 sqrt(t^5/(5 dt N))."""
     v, r = 10.0, 0.01

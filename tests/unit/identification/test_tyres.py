@@ -53,10 +53,6 @@ def found_under_noise() -> Tyres:
     return identify_tyres(made(noise=0.05))
 
 
-def mirrored(drive: Drive) -> Drive:
-    return replace(drive, delta_sw=-drive.delta_sw, r=-drive.r, v_y=None if drive.v_y is None else -drive.v_y)
-
-
 def test_a_curve_has_its_stiffness_and_its_peak() -> None:
     """c at 0; with E = 0 the peak D where B alpha = tan(pi/(2 C)); odd."""
     c, peak, shape = 80e3, 5e3, 1.5
@@ -95,13 +91,6 @@ def test_a_drive_without_noise_tells_all() -> None:
     assert {name: found.theta[name] for name in SHAPES} == SHAPES
     car = found.vehicle
     assert (car.c_f, car.mu) == (found["c_f"].value, min(found["mu_f"].value, found["mu_r"].value))
-
-
-def test_ahead_left_and_right_are_alike() -> None:
-    drive, found, starts = made(noise=0.05), found_under_noise(), np.arange(200, 1900, 7)
-    other = replace(found, theta=found.theta | {name: -found.theta[name] for name in ("offset", "slip_zero")})
-    way = found.ahead(found.scene(drive), starts, 25)
-    assert other.ahead(other.scene(mirrored(drive)), starts, 25) == pytest.approx(-way, abs=1e-9)
 
 
 def test_they_are_judged_beside_the_others() -> None:

@@ -23,7 +23,6 @@ def test_settings_are_changed_by_name() -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ("nets=2", "no 'nets' there; valid: name, actions_deg"),
         ("fit=2", "expected FitSetting, or its parts by their names"),
         ("fit.nets.x=2", "'nets' has no parts"),
         ("fit.nets=0", "expected >= 1"),
