@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from steerkit.compiled.graph import Graph, Symbol
 from steerkit.diagram.block import Block, Out
 from steerkit.diagram.loop import Loop
 from steerkit.diagram.simulation import simulate
@@ -55,6 +56,14 @@ def test_a_state_shared_by_all_cars_is_saved_too(tmp_path: Path) -> None:
     loop.save_state(loop.init(batch=3), tmp_path / "state.npz")
     sample = loop.step(loop.load_state(tmp_path / "state.npz"))[1]
     np.testing.assert_array_equal(sample["mixed.a"], [1.0, 2.0, 3.0])
+
+
+def test_a_loop_starts_from_symbols_as_it_does_from_numbers() -> None:
+    loop, graph = wavy(), Graph()
+    numbers = [block.init() for block in loop.blocks.values()]
+    state = loop.init(x=[tuple(map(graph.input, range(len(x)))) for x in numbers])
+    assert [len(x) for x in state.x] == [len(x) for x in numbers]
+    assert all(type(value) is Symbol for x in state.x for value in x)
 
 
 def test_foreign_state_files_are_refused(tmp_path: Path) -> None:
