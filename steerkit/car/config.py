@@ -3,7 +3,6 @@
 It imports nothing of the learner, so that a car server starts soon and depends on little.
 """
 
-import importlib.util
 import math
 import re
 from collections import Counter
@@ -13,7 +12,7 @@ from functools import cached_property, partial
 from pathlib import Path as File
 from typing import Any
 
-from steerkit._support.errors import in_one_line, known
+from steerkit._support.errors import in_one_line, known, optional, require
 from steerkit._support.files import LARGEST_TEXT, read_bytes, read_text, read_toml, toml_of
 from steerkit._support.plugins import is_outside
 from steerkit.car.gate import GateLimits
@@ -52,10 +51,6 @@ LIMITS = {
     if "number" in f.metadata  # the others follow from the car and the DBC
 }
 """Keys of `[limits]`, and the fields that they set; the file gives angles in degrees."""
-
-
-class ConfigError(ValueError):
-    """A configuration that cannot be used: a mistake in it, or all that contradicts itself, one a line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,11 +153,11 @@ def _listed(parts: dict[str, str]) -> str:
 
 
 def shipped(name: str) -> File:
-    """A configuration or DBC that comes with steerkit; raises ConfigError for another name, with the valid ones."""
+    """A configuration or DBC that comes with steerkit; raises ValueError for another name, with the valid ones."""
     folder = File(__file__).parent / "kits"
     if not (folder / name).is_file():
         known = ", ".join(sorted(f.name for f in folder.iterdir() if f.suffix in (".toml", ".dbc")))
-        raise ConfigError(f"{name}: no such file, beside the configuration or shipped; shipped: {known}")
+        raise ValueError(f"{name}: no such file, beside the configuration or shipped; shipped: {known}")
     return folder / name
 
 
@@ -325,27 +320,26 @@ def _reach(config: CarConfig, mapping: Mapping) -> tuple[float, float]:
     return ends[0], ends[1]
 
 
-def load(file: str | File, *, bus: dict[str, Any] | None = None) -> CarConfig:
+def load(file: str | File, channel: str = "") -> CarConfig:
     """The configuration in a TOML file, or the shipped one of that name.
 
-    bus: arguments of `can.Bus` that replace the file's (the simulated car's port). Raises ConfigError with the first
-    mistake, or with all contradictions, each naming the key, what stands there and what is valid.
+    channel: another bus than the file's (see `bus_of`); BUS+HOST:PORT with a simulated production car. Raises
+    ValueError with the first mistake, or with all contradictions, one a line, each naming the key, what stands there
+    and what is valid.
     """
     path = File(file) if File(file).exists() else shipped(str(file))
     try:
         text = read_text(path, "car")
         data = toml_of(text, "car")
     except ValueError as error:
-        raise ConfigError(f"{path}: cannot be read as TOML ({in_one_line(error)})") from error
-    for name in ("can", "cantools"):
-        if importlib.util.find_spec(name) is None:
-            raise ConfigError(f"{path}: a car needs the package {name}: pip install 'steerkit-control[car]'")
-
-    return Reading(f"{path}", data, {"config.toml": text}, path.parent).config(bus)
+        raise ValueError(f"{path}: cannot be read as TOML ({in_one_line(error)})") from error
+    bus, plus, line = channel.partition("+")
+    config = Reading(f"{path}", data, {"config.toml": text}, path.parent).config(bus_of(bus))
+    return replace(config, line={"line": "socket", "channel": line}) if plus else config
 
 
 class Reading:
-    """One pass over the tables of a car's file; the first mistake raises ConfigError.
+    """One pass over the tables of a car's file; the first mistake raises ValueError.
 
     where: what errors call it. texts: its own, `config.toml`, and those of files that it names. folder: where the
     others are; None: nowhere, as a recording holds them all.
@@ -355,7 +349,7 @@ class Reading:
         self.where, self.data, self.texts, self.folder = where, data, texts, folder
 
     def config(self, bus: dict[str, Any] | None) -> CarConfig:
-        """The configuration, on another bus if there is one; raises ConfigError, with all that contradicts itself."""
+        """The configuration, on another bus if there is one; raises ValueError, with all that contradicts itself."""
         self.known("", self.data, TABLES)
         stated = self.data.get("format")
         self.require(stated == FORMAT, f"format = {stated!r}, expected {FORMAT!r} in the first line")
@@ -387,7 +381,7 @@ class Reading:
             **dict[str, Any](self.kit()),
         )
         if mistakes := [*_signals(config), *_frames(config), *_ranges(config), *_command(config)]:
-            raise ConfigError("\n".join(f"{self.where}: {m}" for m in mistakes))
+            raise ValueError("\n".join(f"{self.where}: {m}" for m in mistakes))
         return config
 
     def text(self, name: str, read: Callable[[File], str]) -> str:
@@ -409,8 +403,8 @@ class Reading:
         added = read_toml(File(__file__).parent / "production" / "port.toml", "port")
         for name, more in added.items():
             own = self.table(name)
-            for key in own.keys() & more.keys() - {"dbc"}:
-                raise self.wrong(f"[{name}] {key}: the port of {found.name} gives it; leave it out")
+            twice = ", ".join(sorted(own.keys() & more.keys() - {"dbc"}))
+            self.require(not twice, f"[{name}] {twice}: the port of {found.name} gives it; leave it out")
             both = {"dbc": [*self.entry(name, own, "dbc", list, []), *more["dbc"]]} if "dbc" in more else more
             self.data[name] = {**own, **both}
         self.data.setdefault("vehicle", {"name": found.name.lower().replace("_", "-")})
@@ -450,8 +444,8 @@ class Reading:
         return values
 
     def database(self) -> Any:
-        python_can()
-        import cantools
+        python_can(self.where)
+        cantools = optional("cantools", self.where, "car")
 
         def beside_or_shipped(place: File) -> str:
             return read_bytes(place if place.exists() else shipped(place.name), LARGEST_TEXT).decode("cp1252")
@@ -614,12 +608,8 @@ class Reading:
             self.require(fits, f"[write.fixed] {name} = {value!r}, expected a whole number of {bits} bits")
         return CommandWriter(message, mapping, **names, fixed=tuple(fixed.items()))
 
-    def wrong(self, what: str) -> ConfigError:
-        return ConfigError(f"{self.where}: {what}")
-
     def require(self, ok: Any, what: str) -> None:
-        if not ok:
-            raise self.wrong(what)
+        require(ok, self.where, what)
 
     def made(self, where: str, make: Callable[..., Any], *given: Any, errors: Any = None) -> Any:
         """What `make` makes of these; what it raises is a mistake of the file."""
@@ -627,7 +617,7 @@ class Reading:
         try:
             return make(*given)
         except caught as error:
-            raise self.wrong(f"{where}{in_one_line(error)}") from error
+            raise ValueError(f"{self.where}: {where}{in_one_line(error)}") from error
 
     def one_of(self, name: Any, valid: Iterable[str], what: str) -> None:
         self.made("", known, str(name), valid, what)
@@ -666,15 +656,6 @@ _KINDS = {
     list: "a list",
     dict: "a table",
 }
-
-
-def loaded(config: str, channel: str = "") -> CarConfig:
-    """A configuration, on another bus if `channel` says so; `BUS+HOST:PORT` for a simulated port."""
-    bus, plus, line = channel.partition("+")
-    loaded_config = load(config, bus=bus_of(bus))
-    if plus:
-        loaded_config = replace(loaded_config, line={"line": "socket", "channel": line})
-    return loaded_config
 
 
 def bus_of(channel: str) -> dict[str, Any] | None:

@@ -20,7 +20,7 @@ from typing import Any, TextIO
 from steerkit._support.clock import Clock
 from steerkit._support.errors import in_one_line
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import bus_of, check_pace, loaded
+from steerkit.car.config import bus_of, check_pace, load
 from steerkit.car.ports import BusPort, SlcanPort
 from steerkit.car.production.port import SocketServer
 from steerkit.car.production.simulated import ProductionCar
@@ -173,7 +173,7 @@ def server(
     Raises ValueError for a configuration that wants a recording where none is made, and for what `check_pace` refuses.
     """
     logging.basicConfig(format="%(asctime)s %(name)s %(message)s", level=logging.INFO, stream=sys.stdout)
-    car = loaded(config, channel)
+    car = load(config, channel)
     check_pace(time_scale, car.bus)
     if car.keep_recording and not recording:
         raise ValueError(f"{config}: keep_recording = true, but nothing is recorded; give --recording FILE.mcap")
@@ -201,7 +201,7 @@ def simulate(
     ratio: the true steering ratio over that of the data sheet. car: what else `SimulatedCar` takes. parent: number of
     the process with which it ends; 0: with none. Raises ValueError for a channel of slcan and as `server` does.
     """
-    as_told = loaded(config, "-")
+    as_told = load(config, "-")
     arguments = bus_of(channel)
     if arguments and arguments["interface"] == "slcan":
         raise ValueError(

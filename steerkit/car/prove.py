@@ -15,7 +15,7 @@ from steerkit.car import loop as loops
 from steerkit.car import recording as recordings
 from steerkit.car import session as sessions
 from steerkit.car.client import CarClient
-from steerkit.car.config import CarConfig, loaded
+from steerkit.car.config import CarConfig, load
 from steerkit.car.loop import Follow, Steers
 from steerkit.car.panel import line_of, ring
 from steerkit.car.production.platforms import platform
@@ -401,7 +401,7 @@ def drive(
     require(options.simulated or not yes, "prove", alone)
     require(minutes >= 0.0, "prove", f"minutes = {minutes:g}, expected 0 or more")
     manoeuvre = replace(manoeuvre, repeats=repeats) if repeats is not None else manoeuvre
-    config = loaded(options.config, "-" if options.simulated else options.channel)
+    config = load(options.config, "-" if options.simulated else options.channel)
     check(manoeuvre, config, base)
     v, off = manoeuvre.conditions.v, 0.25 * manoeuvre.conditions.v_tolerance
     simulate = {"v_min": v - off, "v_max": v + off, **options.simulate} if options.simulated else {}

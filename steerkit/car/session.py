@@ -19,7 +19,7 @@ from steerkit._support.errors import known
 from steerkit.car import loop as loops
 from steerkit.car import processes
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import check_pace, loaded
+from steerkit.car.config import check_pace, load
 from steerkit.car.estimates import Watched
 from steerkit.car.learner import CarLearner
 from steerkit.car.loop import adapted_in, filtered_in
@@ -54,7 +54,7 @@ class Session:
 
     def __init__(self, options: Options, socket: str, channel: str):
         self.options, self.socket, self.recording = options, socket, options.recording
-        self.config = loaded(options.config, channel)
+        self.config = load(options.config, channel)
         self.clock = Clock(scale=options.time_scale)
         self.ending = False
         self.signals: list[str] = []
@@ -97,7 +97,7 @@ class Session:
 def session(options: Options) -> Iterator[Session]:
     """A session: with the car server that is there, or else one of its own; both end in order."""
     if options.time_scale != 1.0 and not options.simulated:
-        check_pace(options.time_scale, loaded(options.config, options.channel).bus)
+        check_pace(options.time_scale, load(options.config, options.channel).bus)
     if options.simulated and options.channel:
         raise ValueError("--simulated starts a car on a channel of its own; leave --channel out")
     known(options.recovery, RECOVERIES, "--recovery")
@@ -201,7 +201,7 @@ def _new_recording(recording: str) -> Iterator[tuple[FilePath, TextIO]]:
 
 def drive(options: Options, name: str, *, minutes: float) -> dict[str, Any]:
     """`steerkit drive --car`: drive with a controller for so long (0: until `q`); returns its figures."""
-    controller = loops.controller_named(name, loaded(options.config))  # mistakes first, processes then
+    controller = loops.controller_named(name, load(options.config))  # mistakes first, processes then
     with session(options) as here, Panel(here, name):
         run = loops.drive(
             here.config,

@@ -13,7 +13,7 @@ from steerkit.car import calibration, estimates, processes
 from steerkit.car import recording as recordings
 from steerkit.car import replay as replays
 from steerkit.car.client import CarClient, CarLost
-from steerkit.car.config import loaded
+from steerkit.car.config import load
 from steerkit.car.core import Core
 from steerkit.car.panel import stream as show
 from steerkit.car.panel import witness_line
@@ -37,7 +37,7 @@ Socket = Annotated[str, typer.Option(help="Unix socket of the car server.")]
 @app.command()
 def check(config: Annotated[str, typer.Argument(help="TOML file, or a shipped one.")] = "dbw-kit.toml") -> None:
     """Check a configuration and print what would be read and written, and every limit."""
-    car = loaded(config)
+    car = load(config)
     path = car.course
     unlearned, bend = witness(car), float(abs(path.samples.kappa).max())
     print("\n".join(car.summary()))

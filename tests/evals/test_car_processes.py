@@ -53,7 +53,7 @@ def bench(tmp_path: Path, forked: None) -> Iterator[SimpleNamespace]:
 
 def drive(socket: str, most: int) -> int:
     """Engage once, and drive with Stanley's controller, for so many engaged steps at most; returns how many."""
-    config = configured.loaded(CONFIG)
+    config = configured.load(CONFIG)
     modes: list[Mode] = []
     with (
         attended(socket),

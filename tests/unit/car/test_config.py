@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from steerkit.car.config import ConfigError, bus_of, check_pace, load, loaded, shipped
+from steerkit.car.config import bus_of, check_pace, load, shipped
 from steerkit.car.ports import open_bus
 from steerkit.car.senses import Senses
 
@@ -128,10 +128,9 @@ MISTAKES = [
 
 @pytest.mark.parametrize(("says", "changes"), [(says, changes) for says, *changes in MISTAKES])
 def test_mistakes_are_named(tmp_path: Path, says: str, changes: list[str]) -> None:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ValueError, match=r"car\.toml") as caught:
         load(changed(tmp_path, *changes))
     assert says in str(caught.value)
-    assert "car.toml" in str(caught.value)
 
 
 def test_what_the_file_says_arrives_in_its_place(tmp_path: Path) -> None:
@@ -150,7 +149,7 @@ def test_what_the_file_says_arrives_in_its_place(tmp_path: Path) -> None:
 
 def test_all_contradictions_come_at_once(tmp_path: Path) -> None:
     swapped = ('"ENABLED" } -> "OVERRIDE"}', '"OVERRIDE" } -> "ENABLED"}')
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ValueError, match="are the two swapped") as caught:
         load(changed(tmp_path, *swapped, "SG_ SCMD : 0|16@1- (0.1,0) -> SG_ SCMD : 0|16@1- (5,0)"))
     assert len(str(caught.value).splitlines()) >= 3
 
@@ -219,6 +218,6 @@ def test_time_runs_as_in_reality_where_a_real_car_may_be(channel: str) -> None:
 
 
 def test_the_file_s_bus_is_taken_unless_a_channel_is_given() -> None:
-    usual, other = loaded(KIT), loaded(KIT, "virtual:x")
+    usual, other = load(KIT), load(KIT, "virtual:x")
     assert usual.bus == load(KIT).bus
     assert other.bus == {"interface": "virtual", "channel": "x"} != usual.bus
