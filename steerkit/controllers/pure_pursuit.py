@@ -8,7 +8,7 @@ from steerkit.diagram import maths as m
 from steerkit.diagram.block import Block, In, Out
 from steerkit.diagram.maths import Scalar
 from steerkit.paths.path import Path
-from steerkit.task import DT, STOP
+from steerkit.task import DT
 from steerkit.vehicles import Vehicle, require_vehicle
 
 
@@ -23,8 +23,8 @@ class PurePursuit(Block):
     cuts corners by about look^2 kappa/6, and is here to be compared with.
 
     Inputs: s [m] along `path` of the rear axle (a tracker with reference = -l_r); x, y [m] of the centre of gravity;
-    psi [rad]; v [m/s]. Output: delta_sw [rad], within +-limit. No state. A negative v counts as 0. NaN in any input
-    gives NaN out.
+    psi [rad]; v [m/s]. Output: delta_sw [rad], within the car's stop. No state. A negative v counts as 0. NaN in any
+    input gives NaN out.
 
     Source: Coulter 1992; Snider 2009, section 2.1.
     """
@@ -36,6 +36,8 @@ class PurePursuit(Block):
     v = In("m/s")
     delta_sw = Out("rad")
 
+    vehicle: Vehicle
+    """The car, for its geometry, ratio and stop."""
     path: Path
     """The path."""
     look_time: Scalar = number(0.5, "s", above=0.0)
@@ -44,50 +46,36 @@ class PurePursuit(Block):
     """Least distance to the goal [m]."""
     look_max: Scalar = 20.0
     """Largest distance to the goal [m]."""
-    wheelbase: Scalar = number(2.7, "m", above=0.0)
-    """L [m]."""
-    l_r: Scalar = number(1.5, "m", above=0.0)
-    """Centre of gravity to rear axle [m]."""
-    steer_ratio: Scalar = number(15.6, "1", above=0.0)
-    """Steering-wheel angle over road-wheel angle [1]."""
-    limit: Scalar = number(STOP, "rad", above=0.0)
-    """Largest |delta_sw| [rad]."""
-    reference: Scalar = -1.5
-    """Where s has to be measured: -l_r, the rear axle [m]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_vehicle(self.vehicle, "PurePursuit")
         require(self.look_max >= self.look_min, "PurePursuit", f"look_max = {self.look_max} m, expected >= look_min")
 
     @classmethod
     def of(cls, vehicle: Vehicle, path: Path, *, delay: float = 0.0, dt: float = DT) -> "PurePursuit":
-        """The controller with geometry, ratio and stop of a `Vehicle`, on `path`.
+        """The controller for a car on a path.
 
         delay [s] of the steering: the only remedy is a goal farther away, at the price of cut corners. look_time grows
         by 2 delay and look_min by 8 m/s * delay: near the least |e| on the 795 m course for each delay, by search.
         """
-        require_vehicle(vehicle, "PurePursuit.of")
         require(0.0 <= delay <= 2.0, "PurePursuit", f"delay = {delay} [s], expected 0 to 2")
-        return cls(
-            path=path,
-            look_time=0.5 + 2.0 * delay,
-            look_min=2.5 + 8.0 * delay,
-            wheelbase=vehicle.wheelbase,
-            l_r=vehicle.l_r,
-            steer_ratio=vehicle.steer_ratio,
-            limit=vehicle.delta_sw_max,
-            reference=-vehicle.l_r,
-            dt=dt,
-        )
+        return cls(vehicle=vehicle, path=path, look_time=0.5 + 2.0 * delay, look_min=2.5 + 8.0 * delay, dt=dt)
+
+    @property
+    def reference(self) -> Scalar:
+        """Where s has to be measured: the rear axle, metres ahead of the centre of gravity."""
+        return -self.vehicle.l_r
 
     def output(self, t: Any, x: Any, u: Any) -> Any:
+        car = self.vehicle
         look = m.clip(self.look_time * m.maximum(u.v, 0.0), self.look_min, self.look_max)
         wanted = u.s + look
         known = m.is_finite(wanted)
         s = self.path.inside(m.where(known, wanted, 0.0))
         cx, cy, tx, ty, _, _ = self.path.frame(s)
-        dx = cx - (u.x - self.l_r * m.cos(u.psi))
-        dy = cy - (u.y - self.l_r * m.sin(u.psi))
+        dx = cx - (u.x - car.l_r * m.cos(u.psi))
+        dy = cy - (u.y - car.l_r * m.sin(u.psi))
         over = 0.0 if self.path.closed else wanted - s
         over = over + m.where(
             over > 0.0, m.maximum(-dx * tx - dy * ty, 0.0), 0.0
@@ -95,5 +83,5 @@ class PurePursuit(Block):
         beyond = m.where(known, over, wanted)
         dx, dy = dx + beyond * tx, dy + beyond * ty
         side = dy * m.cos(u.psi) - dx * m.sin(u.psi)
-        delta = m.atan2(2.0 * self.wheelbase * side, m.maximum(dx * dx + dy * dy, 0.01))
-        return self.Y(m.clip(self.steer_ratio * delta, -self.limit, self.limit))
+        delta = m.atan2(2.0 * car.wheelbase * side, m.maximum(dx * dx + dy * dy, 0.01))
+        return self.Y(m.clip(car.steer_ratio * delta, -car.delta_sw_max, car.delta_sw_max))

@@ -45,7 +45,7 @@ def test_beyond_the_end_of_an_open_path_it_goes_straight_on(over: float) -> None
 
 def test_parameters_are_within_their_ranges() -> None:
     for make, wrong in (
-        (partial(PurePursuit, path=ROAD), {"look_max": 2.4}),
+        (partial(PurePursuit, vehicle=PASSAT, path=ROAD), {"look_max": 2.4}),
         (partial(PurePursuit.of, PASSAT, ROAD), {"delay": 2.1}),
     ):
         with pytest.raises(ValueError, match=next(iter(wrong))):
@@ -69,5 +69,5 @@ def test_a_goal_under_the_rear_axle_is_regular_and_a_delay_moves_the_goal_away()
     )
     late = PurePursuit.of(PASSAT, ROAD, delay=0.1)
     assert (late.look_time, late.look_min) == pytest.approx((0.7, 3.3))
-    plain = PurePursuit(path=ROAD)
-    assert (plain.look_time, plain.look_min, plain.reference) == (block.look_time, block.look_min, -plain.l_r)
+    plain = PurePursuit(vehicle=PASSAT, path=ROAD)
+    assert (plain.look_time, plain.look_min, plain.reference) == (block.look_time, block.look_min, -PASSAT.l_r)
