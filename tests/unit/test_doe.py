@@ -51,13 +51,6 @@ def test_the_low_pass_steps_as_the_exponential(tau: float, dt: float) -> None:
     np.testing.assert_allclose(log["doe.delta_sw"], 1.5 * -np.expm1(-(log.t + dt) / tau), rtol=1e-12)
 
 
-def test_direct_is_the_action() -> None:
-    actions = [radians_of(360.0), radians_of(-360.0), radians_of(360.0)]
-    log = respond(PlainAngle(), *actions, seconds=0.15)
-    np.testing.assert_array_equal(log["doe.delta_sw"], actions)
-    np.testing.assert_array_equal(log["doe.state"], [0.0, *actions[:2]])
-
-
 @does
 @given(angle=angles, action=angles)
 def test_within_limits_and_odd(doe: Block, angle: float, action: float) -> None:
@@ -71,12 +64,6 @@ def test_within_limits_and_odd(doe: Block, angle: float, action: float) -> None:
 @given(before=angles, angle=st.floats(-9.0, 9.0))
 def test_the_action_for_an_angle_makes_it(doe: Any, before: float, angle: float) -> None:
     assert once(doe, before, doe.action_for(angle, before)).delta_sw == pytest.approx(angle, abs=1e-12)
-
-
-@given(angle=st.floats(-9.0, 9.0), action=st.floats(-9.0, 9.0), tau=st.floats(0.01, 10.0))
-def test_the_low_pass_never_passes_its_action(angle: float, action: float, tau: float) -> None:
-    after = once(LowPass(tau=tau), angle, action).delta_sw
-    assert min(angle, action) - 1e-12 <= after <= max(angle, action) + 1e-12
 
 
 @does
