@@ -29,24 +29,24 @@ def driven(path: Path, *, v: float = 5.0, noise: float = 1.0, seed: int = 0, fur
     return np.asarray(path.point(s)) + noise * np.random.default_rng(seed).normal(size=(len(s), 2))
 
 
-def gpx(xy: np.ndarray, file: FilePath, *, step: float = 1.0, name: str = "lap") -> FilePath:
-    """A GPX file of places [m], one each `step` [s], written by gpxpy."""
+def gpx(xy: np.ndarray, file: FilePath) -> FilePath:
+    """A GPX file of places [m], one a second, written by gpxpy."""
     lat, lon = positions(xy)
-    whole, track, segment = gpxpy.gpx.GPX(), gpxpy.gpx.GPXTrack(name=name), gpxpy.gpx.GPXTrackSegment()
+    whole, track, segment = gpxpy.gpx.GPX(), gpxpy.gpx.GPXTrack(name="lap"), gpxpy.gpx.GPXTrackSegment()
     whole.tracks.append(track)
     track.segments.append(segment)
     begin = datetime(2026, 11, 22, 15, tzinfo=UTC)
     for k, (a, b) in enumerate(zip(lat, lon)):
-        segment.points.append(gpxpy.gpx.GPXTrackPoint(a, b, time=begin + timedelta(seconds=step * k)))
+        segment.points.append(gpxpy.gpx.GPXTrackPoint(a, b, time=begin + timedelta(seconds=k)))
     file.write_text(whole.to_xml())
     return file
 
 
-def geojson(xy: np.ndarray, file: FilePath, *, name: str = "yard", more: dict[str, object] | None = None) -> FilePath:
+def geojson(xy: np.ndarray, file: FilePath, **more: object) -> FilePath:
     """A GeoJSON file with a line in it."""
     lat, lon = positions(xy)
     line = {"type": "LineString", "coordinates": [[float(b), float(a)] for a, b in zip(lat, lon)]}
-    feature = {"type": "Feature", "properties": {"name": name, **(more or {})}, "geometry": line}
+    feature = {"type": "Feature", "properties": {"name": "yard", **more}, "geometry": line}
     file.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
     return file
 
@@ -75,9 +75,9 @@ ROADS: dict[str, Callable[[], list[object]]] = {
 """Reference lines that the writer of OpenDRIVE files makes."""
 
 
-def opendrive(pieces: list[object], file: FilePath, **lanes: object) -> FilePath:
+def opendrive(pieces: list[object], file: FilePath) -> FilePath:
     """An OpenDRIVE file with one road, written by scenariogeneration."""
-    road = xodr.create_road(pieces, id=1, **lanes)  # type: ignore[arg-type]
+    road = xodr.create_road(pieces, id=1)  # type: ignore[arg-type]
     map_ = xodr.OpenDrive("map")
     map_.add_road(road)
     map_.adjust_roads_and_lanes()
@@ -105,7 +105,7 @@ def junction(file: FilePath) -> FilePath:
 
 
 def by_hand(
-    file: FilePath, geometry: str, *, length: float, lanes: str = "", rule: str = "RHT", more: str = "", links: str = ""
+    file: FilePath, geometry: str, *, length: float, lanes: str = "", rule: str = "RHT", more: str = ""
 ) -> FilePath:
     """An OpenDRIVE file with one road of that geometry; by default a lane of 3.5 m on each side."""
     width = '<width sOffset="0" a="3.5" b="0" c="0" d="0"/>'
@@ -116,6 +116,6 @@ def by_hand(
     )
     file.write_text(
         f'<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="7"/><road id="1" junction="-1" rule="{rule}" '
-        f'length="{length!r}">{links}<planView>{geometry}</planView>{more}<lanes>{lanes}</lanes></road></OpenDRIVE>'
+        f'length="{length!r}"><planView>{geometry}</planView>{more}<lanes>{lanes}</lanes></road></OpenDRIVE>'
     )
     return file

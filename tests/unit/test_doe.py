@@ -79,9 +79,6 @@ def test_an_angle_beyond_the_stop_is_remembered_as_the_stop(doe: Any) -> None:
     assert x.delta_sw == radians_of(520.0)
 
 
-# ---- behind a gate ------------------------------------------------------------------------------------------------
-
-
 def test_corrected_goes_on_from_what_was_really_commanded() -> None:
     for element in (Integrator(), LowPass(), PlainAngle()):
         doe = Corrected(element=element)
@@ -94,24 +91,3 @@ def test_corrected_goes_on_from_what_was_really_commanded() -> None:
     assert math.isnan(doe.output(0.0, (), doe.D(action=0.0, applied=math.nan)).delta_sw)
     assert doe.output(0.0, (), doe.D(action=0.0, applied=50.0)).state == radians_of(520.0)
     assert Corrected(element=Integrator(dt=0.02)).dt == 0.02
-
-
-def test_behind_a_gate_it_does_not_wind_up() -> None:
-    """A gate lets 0.1 rad a sample through, the policy asks for 0.4 twenty times, then back: the plain integrator
-    needs sixteen samples to unwind, the corrected one turns back at once."""
-
-    def turned_back_after(doe: Block) -> int:
-        command, x, turned = 0.0, doe.init(), 0
-        for n in range(60):
-            u = doe.D(*[{"action": 0.4 if n < 20 else -0.4, "applied": command}[p] for p in doe.D._fields])
-            y = doe.output(0.05 * n, x, u)
-            wish = y.delta_sw
-            step = max(-0.1, min(0.1, wish - command))
-            if n >= 20 and step < 0.0 and not turned:
-                turned = n - 19
-            command += step
-            x = doe.update(0.05 * n, x, doe.U(u.action, wish), y)  # a plain DOE is told its own wish
-        return turned
-
-    assert turned_back_after(Corrected()) == 1
-    assert turned_back_after(Integrator()) > 10

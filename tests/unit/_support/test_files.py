@@ -65,9 +65,7 @@ def test_on_a_full_disk_the_old_file_stays_and_no_rubbish_is_left(tmp_path: Path
     assert names(tmp_path) == ["a.npz"]
 
 
-def test_the_disk_has_it_before_the_old_one_goes_unless_the_thread_may_not_wait(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_disk_has_it_before_the_old_one_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     sync, replace = os.fsync, os.replace
     monkeypatch.setattr(files.os, "fsync", lambda handle: (calls.append("sync"), sync(handle)))
@@ -80,9 +78,7 @@ def test_the_disk_has_it_before_the_old_one_goes_unless_the_thread_may_not_wait(
     assert calls == ["replace", "replace"]
 
 
-def test_a_file_that_another_thread_makes_just_then_is_no_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_another_thread_makes_is_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, stat = tmp_path / "a", Path.stat
 
     def made_after_the_first_look(self: Path, **options: Any) -> os.stat_result:

@@ -60,9 +60,7 @@ def test_the_compiler_is_that_of_cc_then_gcc_then_cc(tmp_path: Path, monkeypatch
 
 
 @needs_compiler
-def test_a_source_is_compiled_once_with_the_options_of_cc(
-    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_source_is_compiled_once_as_cc_says(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notes = noting(tmp_path, monkeypatch)
     for _ in range(2):
         assert called(native.load(SUM), "sum", 1.0, 2.0) == 3.0
@@ -102,9 +100,7 @@ def test_what_the_compiler_refuses_is_told_and_leaves_nothing(cache: Path) -> No
 
 
 @needs_compiler
-def test_a_cache_that_cannot_be_made_is_replaced_by_a_private_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cache_that_cannot_be_made_is_a_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     native.directory.cache_clear()

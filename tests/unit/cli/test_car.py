@@ -47,9 +47,7 @@ def test_a_damaged_recording_is_replayed_around_the_damage_with_exit_code_1(driv
     assert drive.read_bytes() == hurt
 
 
-def test_a_recording_that_has_to_be_kept_has_to_be_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any
-) -> None:
+def test_a_recording_to_be_kept_has_to_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> None:
     text = shipped("dbw-kit.toml").read_text()
     (tmp_path / "car.toml").write_text(text.replace("keep_recording = false", "keep_recording = true"))
     monkeypatch.setattr(CarServer, "run", CarServer.close)  # should it get there

@@ -78,18 +78,16 @@ def test_no_drive_is_written_over_by_another(tmp_path: Path, monkeypatch: pytest
         (("--speed", "recorded", "--course", "genesis", "--v-max", "9"), ("recorded", 4.0, 9.0)),
         (("--speed", "v.csv"), ("v.csv", 4.0, 11.0)),
         (("--speed", "5", "--v-max", "9"), "a steady speed; leave --v-max out"),
-        (("--speed", "v.csv", "--v-max", "6"), "speed v.csv: 5 to 11 m/s, expected v_min to v_max, 4 to 6"),
         (("--speed", "w.csv"), "speed: w.csv cannot be read (No such file or directory)"),
         (("--speed", "x.csv"), "x.csv: columns x, v; valid: s [m], v [m/s]"),
-        (("--speed", "far.csv"), "far.csv: s to 999 m, on a course of 188.5 m"),
     ],
 )
 def test_speeds(
     words: tuple[str, ...], expected: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any, heard: list[Any]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, text in (("v", "s,v\n0,5\n60,11\n120,5\n"), ("x", "x,v\n0,5\n"), ("far", "s,v\n0,5\n999,5\n")):
-        Path(f"{name}.csv").write_text(text)
+    Path("v.csv").write_text("s,v\n0,5\n60,11\n120,5\n")
+    Path("x.csv").write_text("x,v\n0,5\n")
     course = () if "--course" in words else ("--course", "circle")
     said = cli("drive", "stanley", *course, *words, "-q", code=2 if isinstance(expected, str) else 0)
     if isinstance(expected, str):
@@ -112,9 +110,7 @@ def test_a_speed_profile_is_driven_round_after_round(tmp_path: Path) -> None:
     np.testing.assert_allclose(log["driver.v"], expected, atol=0.15)
 
 
-def test_a_vehicle_beside_a_scenarios_file_brings_its_steering(
-    tmp_path: Path, cli: Any, heard: list[dict[str, Any]]
-) -> None:
+def test_a_vehicle_beside_a_scenario_has_its_steering(tmp_path: Path, cli: Any, heard: list[dict[str, Any]]) -> None:
     text = vehicle_text(VEHICLES["bmw-320i"]) + "\n[steering]\ndelay = 0.05\nlag = 0.2\noffset = 0.01\n"
     (tmp_path / "car.toml").write_text(text)
     write_scenario(Scenario(course="circle", disturbances={"wind": 0.2}), tmp_path / "mine.toml")
@@ -145,3 +141,23 @@ def test_a_controller_of_the_challenge_drives_no_car(tmp_path: Path, cli: Any) -
     (tmp_path / "theirs.py").write_text("class Controller:\n    def update(self, *_):\n        return 0.0\n")
     said = cli("drive", f"{tmp_path / 'theirs.py'}:Controller", "--car", "dbw-kit.toml", code=2).err
     assert "theirs.py:Controller" in said
+
+
+def test_the_command_drives_as_drive_does(tmp_path: Path, cli: Any) -> None:
+    """The value that the controller has by itself gives the row that `drive` gives."""
+    name, course = own_controller(tmp_path), ("--course", "circle", "--conditions", "hard", "--seed", 3, "--json", "-q")
+    said = cli("sweep", name, "--set", "gain=1:2.5:3", *course, "--out", tmp_path / "swept").json
+    drive = cli("drive", name, *course, "--out", tmp_path / "driven").json
+    for metric in ("rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y"):
+        assert said["columns"][metric][2] == pytest.approx(drive[metric], rel=1e-9)
+    table = np.genfromtxt(tmp_path / "swept/sweep.csv", delimiter=",", names=True, deletechars="")
+    np.testing.assert_array_equal(table["controller.gain"], [1.0, 1.75, 2.5])
+    assert (tmp_path / "swept/sweep.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_command_finds_the_field_inside_a_wrapper_and_says_what_is_wrong(tmp_path: Path, cli: Any) -> None:
+    where = ("--course", "circle", "--seconds", 2, "--json", "-q", "--out", tmp_path / "swept")
+    said = cli("sweep", "stanley-delay", "--set", "k=1:4:3:log", "--set", "car.vehicle.m=1500,1700", *where).json
+    assert said["columns"]["controller.block.k"] == pytest.approx([1.0, 1.0, 2.0, 2.0, 4.0, 4.0])
+    assert said["columns"]["car.vehicle.m"] == [1500.0, 1700.0] * 3
+    assert [*said["best"]] == ["rms_e", "max_e", "rms_wheel_rate_deg", "max_a_y"]

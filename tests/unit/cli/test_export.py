@@ -16,9 +16,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return published_on_a_circle(tmp_path_factory.mktemp("run"))
 
 
-def test_what_onnx_cannot_hold_is_said_before_anything_else(
-    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any
-) -> None:
+def test_what_onnx_cannot_hold_is_said(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> None:
     """Of a policy as the default setting learns it; whether or not onnx is installed."""
     policy = replace(rundir.final_policy(run), continuous=True)
     monkeypatch.setattr(rundir, "final_policy", lambda _: policy)
@@ -31,9 +29,7 @@ def test_what_onnx_cannot_hold_is_said_before_anything_else(
 
 
 @pytest.mark.parametrize("gap", [1e-3, float("nan")])
-def test_a_model_that_says_something_else_is_no_success(
-    gap: float, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any
-) -> None:
+def test_a_wrong_model_fails(gap: float, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> None:
     monkeypatch.setattr("steerkit.export.onnx.check_onnx", lambda *_, **__: {"action": 0.0, "q": gap})
     assert "its q differs from the policy's by" in cli("export", run, "--onnx", tmp_path / "p.onnx", code=2).err
     assert not (tmp_path / "p.onnx").exists()

@@ -71,9 +71,7 @@ def test_the_options_of_learning_are_heard(tmp_path: Path, cli: Any, heard: list
     assert place == tmp_path / "here"
 
 
-def test_options_change_the_experiment_of_a_file(
-    tmp_path: Path, cli: Any, heard: list[tuple[Experiment, Path]]
-) -> None:
+def test_options_change_a_files_experiment(tmp_path: Path, cli: Any, heard: list[tuple[Experiment, Path]]) -> None:
     config = tmp_path / "my.toml"
     scenario = "[scenario]\ncourse = 'circle'\nsensors.noise = 1.0\nsteering.lag = 0.3\n"
     config.write_text(f"minutes = 0.2\nseed = 2\n{scenario}[setting]\ncalm = 0.6\n")

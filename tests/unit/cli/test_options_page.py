@@ -3,12 +3,10 @@
 import re
 from pathlib import Path
 
-import pytest
 from rich.console import Console
 
 from steerkit.cli.options import write_page
 from steerkit.plots.style import new_figure
-from tests.support.command_lines import run
 
 
 def test_a_page_holds_what_was_printed_and_asks_for_nothing_else(tmp_path: Path) -> None:
@@ -21,14 +19,3 @@ def test_a_page_holds_what_was_printed_and_asks_for_nothing_else(tmp_path: Path)
     for found in ("<li>fine &amp; well</li>", "a &lt; b", "log &lt;1&gt;.csv"):
         assert found in page
     assert not re.search(r"(src|href)=['\"](?!data:)|@import|url\(", page)
-
-
-def test_a_command_hands_on_its_verdict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of resimulate; that of identify stands in test_identify.py."""
-    file, words = tmp_path / "a.html", ("resimulate", "genesis-rfs", "--vehicle", "vw-passat")
-    says = ("stanley stays within", "lqr stays within", "Most otherwise")
-    controllers = ("--controller", "stanley", "--controller", "lqr")
-    assert run(*words, *controllers, "--report", str(file), "-q", monkeypatch=monkeypatch) == 0
-    page = file.read_text(encoding="utf-8")
-    assert [sentence for sentence in says if sentence not in page] == []
-    assert "no car was driven" in page

@@ -1,5 +1,5 @@
 """The recordings of the tests of identification."""
 
-from tests.unit.identification.test_fit import clean, found
+from tests.unit.identification.test_fit import clean
 
-__all__ = ["clean", "found"]
+__all__ = ["clean"]

@@ -122,13 +122,6 @@ def test_the_layouts_show_what_is_there(lap: Log, tmp_path: Path) -> None:
         layout(tmp_path / "l.rviz")
 
 
-def test_what_cannot_be_written_teaches(tmp_path: Path) -> None:
-    batch = Log(np.arange(3.0), {"car.x": np.zeros((3, 2))}, {"car.x": "m"})
-    with pytest.raises(ValueError, match="a batch of cars"):
-        to_mcap(batch, tmp_path / "a.mcap")
-    assert not (tmp_path / "a.mcap").exists()
-
-
 def test_the_car_tells_before_the_motor_and_who_was_last_before_the_wheel() -> None:
     names = ["actuator.delta_sw", "controller.delta_sw", "car.delta_sw", "supervisor.delta_sw", "path.e", "x"]
     shown = foxglove.shown_as(names)
@@ -138,7 +131,9 @@ def test_the_car_tells_before_the_motor_and_who_was_last_before_the_wheel() -> N
     assert shown["/signals/actuator/delta_sw"] == "actuator.delta_sw"
 
 
-def test_what_is_no_number_is_null_as_json_has_it(tmp_path: Path) -> None:
+def test_what_is_no_number_is_null_as_json_has_it_and_several_cars_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="a batch of cars"):
+        to_mcap(Log(np.arange(3.0), {"car.x": np.zeros((3, 2))}, {"car.x": "m"}), tmp_path / "a.mcap")
     x = np.arange(9.0)
     y = np.where(x == 3.0, np.nan, 0.0)
     to_mcap(Log(0.997 * x, {"x": x, "y": y}, {"x": "m", "y": "m"}), tmp_path / "a.mcap")
@@ -156,14 +151,8 @@ def first_of(loop: Loop, t: float = 0.0) -> Sample:
 
 
 def test_a_client_sees_the_drive_as_the_export_has_it_and_cannot_publish(loop: Loop, tmp_path: Path) -> None:
-    from mcap.reader import make_reader
-
     log = simulate(loop, 3.0)
     topics = to_mcap(log, tmp_path / "run.mcap").keys()
-    with (tmp_path / "run.mcap").open("rb") as file:
-        exported = make_reader(file).get_summary()
-    assert exported is not None
-    schemas = {c.topic: exported.schemas[c.schema_id] for c in exported.channels.values()}
     server = foxglove.Server("0")
     assert server.address.startswith("ws://127.0.0.1:")
     server.sample(early := first_of(loop, t=-100.0))
@@ -171,9 +160,6 @@ def test_a_client_sees_the_drive_as_the_export_has_it_and_cannot_publish(loop: L
         client.subscribe(len(topics))
         assert client.info["capabilities"] == []
         assert {c["topic"] for c in client.channels.values()} == topics
-        for channel in client.channels.values():
-            schema = schemas[channel["topic"]]
-            assert (channel["schemaName"], channel["schemaEncoding"]) == (schema.name, schema.encoding)
         while (known := client.next(within=0.2)) is None:  # until the server knows who asks
             server.sample(early)
         begin = known[1] + 100 * 10**9
@@ -194,20 +180,11 @@ def test_a_client_sees_the_drive_as_the_export_has_it_and_cannot_publish(loop: L
         client.ask(b"\x01\x09\0\0\0" + b'{"e": 0.0}')
         assert "does not support clientPublish" in client.words()["message"]
         began = time.monotonic()
-        server.end()  # with a client that reads nothing any more
-        assert time.monotonic() - began < 5.0
-
-
-def test_nobody_waits_for_a_client_that_reads_nothing(loop: Loop) -> None:
-    first, server = first_of(loop), foxglove.Server("0")
-    server.sample(first)
-    with Client(server.address) as client:
-        client.subscribe(4)
-        began = time.monotonic()
         for _ in range(5_000):  # more than sockets and the server's queue hold
-            server.sample(first)
+            server.sample(early)
         assert time.monotonic() - began < 30.0
-    server.end()
+        server.end()  # with a client that reads nothing any more
+        assert time.monotonic() - began < 35.0
 
 
 def test_vectors_are_shown_number_by_number(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -236,9 +213,7 @@ def test_places() -> None:
     assert foxglove.place_of("[::1]:0") == ("::1", 0)
 
 
-def test_a_taken_port_and_a_missing_package_teach(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_taken_port_and_a_missing_package_teach(monkeypatch: Any, capsys: Any, tmp_path: Path) -> None:
     words = ("drive", "stanley", "--course", "circle", "--rounds", "0.03", "--out", str(tmp_path / "run"), "-q")
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = str(other.getsockname()[1])

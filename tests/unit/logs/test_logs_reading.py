@@ -186,9 +186,7 @@ def test_a_clock_may_pass_midnight(tmp_path: Path) -> None:
     assert len(drive.v) == pytest.approx(len(t), abs=2)
 
 
-def test_rows_of_a_signal_of_their_own_are_one_log_with_the_others_also_as_a_spreadsheet_writes_them(
-    tmp_path: Path,
-) -> None:
+def test_a_signal_on_rows_of_its_own_is_read_with_the_others_from_a_spreadsheets_file(tmp_path: Path) -> None:
     t = np.arange(0.0, 30.0, 0.01)
     columns = {"time [s]": t, "Steering Angle (deg)": 20.0 * np.sin(t), "yaw_rate_degs": 5.0 * np.sin(t)}
     slow = pd.DataFrame({"time [s]": t[::5] + 0.003, "speed (km/h)": 36.0})

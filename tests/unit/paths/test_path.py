@@ -19,12 +19,6 @@ def made_of(xy, closed=False, **options):
     return Path.from_waypoints(xy, closed=closed, name="lap", **options)
 
 
-def with_entry(points, index, value):
-    points = points.copy()
-    points[index] = value
-    return points
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -41,21 +35,6 @@ def test_what_is_wrong_with_waypoints_is_said(make, message):
     with pytest.raises(ValueError, match=message) as error:
         make()
     assert "Path 'lap'" in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("lat", "lon", "message"),
-    [
-        ([52.0, 52.001], [10.0], r"lat of shape \(2,\), lon of shape \(1,\)"),
-        ([52.0, math.inf], [10.0, 10.001], r"position 1 not finite"),
-        ([-122.3, -122.31], [37.9, 37.91], r"position 0: lat -122.3, lon 37.9 .*swapped\?"),
-        ([95.0, 95.1], [200.0, 200.1], r"expected -90..90 and -180..180$"),
-        ([0.9076, 0.9077], [0.1745, 0.1746], r"look like radians"),
-    ],
-)
-def test_what_is_wrong_with_gps_positions_is_said(lat, lon, message):
-    with pytest.raises(ValueError, match=message):
-        Path.from_gps(lat, lon, closed=False)
 
 
 def test_a_closed_path_may_repeat_its_first_point():

@@ -20,6 +20,18 @@ def inputs(tracker, pose, v=5.0, beta=0.02, r=0.1):
     return tracker.D(*(float(a) for a in pose), v, beta, r)
 
 
+def test_each_of_many_cars_is_found_wherever_it_starts():
+    """More than are searched for at once."""
+    tracker, s = PathTracker(path=PAPER), np.linspace(0.0, 795.0, 300)
+    e, psi_e = 3.0 * np.sin(s), np.cos(7.0 * s)
+    u = tracker.D(*np.transpose([pose_beside(PAPER, *row) for row in zip(s, e, psi_e)]), *np.zeros((3, 300)))
+    y = tracker.output(0.0, tracker.settle(0.0, tracker.init((300,)), u), u)
+    assert PAPER.length * np.sin(np.pi * (y.s - s) / PAPER.length) == pytest.approx(0.0 * s, abs=1e-5)
+    assert y.e == pytest.approx(e, abs=1e-6)
+    assert y.psi_e == pytest.approx(psi_e, abs=1e-6)
+    assert y.progress == pytest.approx(0.0 * s, abs=1e-9)
+
+
 @pytest.mark.parametrize("along", [-0.6, -0.2, 0.0, 0.3, 0.7])
 @pytest.mark.parametrize("e", [-0.5, 0.0, 0.5])
 @pytest.mark.parametrize("s", [2.622 * 60.0 / 4.0, 2.622 * 60.0 * 3.0 / 4.0])

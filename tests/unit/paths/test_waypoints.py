@@ -49,9 +49,15 @@ def test_a_ring_is_closed_by_its_first_point_once() -> None:
 def test_positions_at_the_bounds() -> None:
     for lat, lon in (([90.0, -90.0], [180.0, -180.0]), ([1.6, 0.0], [0.0, 0.0]), ([0.0, 1.5], [3.2, 0.0])):
         check_gps(np.array(lat), np.array(lon), "lap")
-    for lat, lon in ((math.pi / 2.0, math.pi), (0.0, 180.01), (-90.01, 0.0)):
-        with pytest.raises(ValueError, match="lap: "):
-            check_gps(np.array([lat]), np.array([lon]), "lap")
+    for lat, lon, told in (
+        ([math.pi / 2.0], [math.pi], "look like radians"),
+        ([0.0], [180.01], "expected -90..90 and -180..180$"),
+        ([-90.01], [0.0], r"position 0: lat -90.01, lon 0 .*swapped\?"),
+        ([52.0, math.inf], [10.0, 10.001], "position 1 not finite"),
+        ([52.0, 52.001], [10.0], r"lat of shape \(2,\), lon of shape \(1,\)"),
+    ):
+        with pytest.raises(ValueError, match=f"lap: .*{told}"):
+            check_gps(np.array(lat), np.array(lon), "lap")
     xy, origin = placed({"lat": np.array([52.0, 52.001]), "lon": np.array([8.0, 8.001])}, "lap")
     assert origin == (52.0, 8.0)
     assert xy[0] == pytest.approx([0.0, 0.0], abs=1e-9)

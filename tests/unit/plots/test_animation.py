@@ -88,9 +88,7 @@ def test_a_heading_that_passes_180_degrees_is_no_spin() -> None:
     assert moments(x=[0.0, 1.0], y=[0.0, 0.0], psi=[3.1, 0.1 + 3.1 - 2.0 * np.pi]).at(0.5)["psi"] == pytest.approx(3.15)
 
 
-def test_a_film_of_given_moments_says_how_fast_each_is_shown(
-    log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_of_moments_says_how_fast_each_is(log: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = list[tuple[float, float]]()
     show = Scene.show
     monkeypatch.setattr(Scene, "show", lambda self, t, speed: (shown.append((t, speed)), show(self, t, speed))[1])

@@ -20,13 +20,6 @@ COURSE = PLAIN.path()
 STANLEY = controller("stanley", PLAIN)
 
 
-def test_what_is_not_there_is_left_out() -> None:
-    left_out = {name for name, block in PLAIN.blocks(PLAIN.path()).items() if block is None}
-    assert left_out == {"link", "column", "sensors", "estimator"}
-    loop = assembled(PLAIN, controller("stanley", PLAIN))
-    assert not left_out & set(loop.names)
-
-
 WORN = Scenario(
     steering={"play_deg": 2.0, "friction_deg": 1.0, "dead_band_deg": 0.5, "quantum_deg": 0.1, "delay_jitter": 0.03}
 )

@@ -20,6 +20,7 @@ from steerkit.vehicles import vehicle, vehicle_text
 from tests.support.yard import yard
 
 MULTI_BODY = "benchmarks.peers.commonroad:CommonRoadMultiBody"
+OTHER = {"plant": MULTI_BODY, "name": "bmw-320i"}
 HEAD = f'format = "{FORMAT}"\n'
 
 
@@ -27,7 +28,6 @@ HEAD = f'format = "{FORMAT}"\n'
     ("changes", "message"),
     [
         ({"course": {"name": 7}}, "course: name = 7, expected text"),
-        ({"course": {"closed": "yes"}}, "course: closed = 'yes', expected true or false, or nothing"),
         ({"knowledge": {"oracle": 1}}, "knowledge: oracle = 1, expected true or false"),
         ({"course": {"closed": True}}, "course: closed = True is only for a course from a file"),
         ({"course": {"start": 900.0}}, r"course: start = 900.0 \[m\].*the course's length"),
@@ -36,18 +36,14 @@ HEAD = f'format = "{FORMAT}"\n'
         ({"vehicle": {"plant": "steerkit.doe:Integrator"}}, "expected a subclass of Car"),
         ({"vehicle": {"tyres": 10.0, "name": "bmw-320i"}}, "c_f"),
         ({"vehicle": {"plant": MULTI_BODY}}, "valid: bmw-320i, ford-escort"),
-        ({"vehicle": {"plant": MULTI_BODY, "name": "bmw-320i", "ratio": 1.1}}, "no other tyres, friction or ratio"),
-        (
-            {"vehicle": {"plant": MULTI_BODY, "name": "bmw-320i"}, "disturbances": {"wind": 1.0}},
-            "disturbances: only single-track cars are pushed",
-        ),
+        ({"vehicle": OTHER | {"ratio": 1.1}}, "no other tyres, friction or ratio"),
+        ({"vehicle": OTHER, "disturbances": {"wind": 1.0}}, "disturbances: only single-track cars are pushed"),
         ({"driver": {"speed": "recorded"}}, "'paper' is not known.*genesis"),
         ({"driver": {"v_min": 9.0}}, "driver: v_min = 9.0, v_max = 7.5"),
         ({"driver": "recorded"}, "driver: 'recorded', expected a table of speed, v_min, v_max"),
         ({"steering": {"command": "hands"}}, "steering: command 'hands'; valid: angle, torque"),
         ({"steering": {"lag": "much"}}, r"lag = 'much', expected a number \[s\]"),
         ({"sensors": {"latency": 0.02}}, "latency = 0.02"),
-        ({"sensors": {"noise": True}}, r"noise = True, expected a number \[1\]"),
         ({"steering": {"delay": 1.5}, "sensors": {"latency": 1.0}}, "add up to 2.5"),
         ({"reference": "rear"}, "reference 'rear'; valid: front, cg, own"),
         ({"recovery": "lqr"}, "recovery 'lqr'; valid: auto, adaptive, stanley, stanley-delay"),
@@ -105,14 +101,6 @@ def test_what_depends_on_the_seed_is_random() -> None:
     assert not Scenario(course="genesis", driver={"speed": "recorded"}).random
 
 
-def test_all_noises_grow_together() -> None:
-    one, two = (Sensing(noise=factor).sensors(PASSAT, 3) for factor in (1.0, 2.5))
-    assert one is not None
-    assert two is not None
-    for name in ("position_drift", "psi_drift", "r_noise"):
-        assert getattr(two, name) == 2.5 * getattr(one, name) > 0.0
-
-
 def test_hard_conditions_are_noise_latency_and_lag() -> None:
     hard = Scenario.under("hard", course="genesis")
     assert hard == Scenario(course="genesis", sensors={"noise": 1.0, "latency": 0.05}, steering={"lag": 0.15})
@@ -153,17 +141,6 @@ def test_a_course_and_a_car_from_files_stay_what_they_were(tmp_path: FilePath, m
         assert same.path().length == pytest.approx(2.0 * math.pi * 20.0, rel=1e-3)
         assert same.nominal.m == 1500.0
     assert Scenario(course=str(file)) != scenario.with_(vehicle="vw-passat")
-
-
-@pytest.mark.parametrize("share", [1.0, 0.7])
-def test_a_file_is_closed_if_its_ends_meet_or_if_it_says_so(share: float, tmp_path: FilePath) -> None:
-    file = yard(tmp_path, share=share)
-    path = Scenario(course=str(file)).path()
-    assert path.closed is (share == 1.0)
-    path.to_csv(tmp_path / "again.csv")
-    assert Scenario(course=str(tmp_path / "again.csv")).path().closed is path.closed
-    if share == 1.0:
-        assert not Scenario(course={"name": str(file), "closed": False}).path().closed
 
 
 @pytest.mark.parametrize(("gap", "closed"), [(8.0, True), (12.0, False)])
@@ -222,9 +199,7 @@ def test_a_scenario_comes_back_with_its_files(tmp_path: FilePath, monkeypatch: p
 
 @settings(max_examples=15)
 @given(lag=st.floats(0.0, 10.0), offset_deg=st.floats(-90.0, 90.0), believed=st.none() | st.floats(0.0, 2.0))
-def test_every_number_comes_back_bit_for_bit(
-    tmp_path_factory: pytest.TempPathFactory, lag: float, offset_deg: float, believed: Any
-) -> None:
+def test_every_number_comes_back(tmp_path_factory: Any, lag: float, offset_deg: float, believed: Any) -> None:
     scenario = Scenario(steering={"lag": lag, "offset_deg": offset_deg}, knowledge={"delay": believed})
     file = tmp_path_factory.getbasetemp() / "scenario.toml"
     write_scenario(scenario, file)
@@ -247,7 +222,6 @@ def test_files_are_looked_for_beside_the_scenarios_own(given: str, tmp_path: Fil
     [
         (HEAD + "lag = 0.1\n", "s.toml: a scenario has no field 'lag'; it is a field of steering and knowledge"),
         (HEAD + "[steering]\nlagg = 0.1\n", "s.toml: scenario: steering: no field 'lagg'; valid: command"),
-        (HEAD + "[steering]\nlag = -0.1\n", r"s.toml: scenario: steering: lag = -0.1 \[s\], expected 0 to"),
         (HEAD + 'course = "no.csv"\n', "s.toml: scenario: course: .*no.csv cannot be read"),
         (HEAD + "steering = 3\n", "steering: 3, expected a table of command"),
         (HEAD + "lag = \n", "s.toml: not TOML"),

@@ -34,9 +34,7 @@ def test_a_way_that_winds_up_between_its_points_is_refused_at_once() -> None:
     s = np.arange(0.0, 300.0, 5.0)
     xy = np.column_stack((s, 20.0 * np.sin(s / 75.0)))
     twice = np.insert(xy, 44, xy[36], axis=0)
-    with pytest.raises(
-        ValueError, match=r"noise = 0.1 m it is \d+ m long, but from point to point 373 m: points out of"
-    ):
+    with pytest.raises(ValueError, match=r"noise = 0.1 m it is \d+ m long, but from point to point 373 m: points"):
         made(twice, drawn=False)
     assert made(xy, drawn=False).path.length == pytest.approx(300.8, abs=0.5)  # 295 m and 20^2/75^2/4 of it
 
@@ -52,7 +50,7 @@ def _off(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
         (
             [(0, 0), (50, 0), (50, 30)],
             dict(noise=0.2),
-            r"bends to a radius of .* m at s = .*; the car's wheel does 4.1 m; if",
+            r"bends to a radius of .* m at s = .*; the car's wheel does 4.1",
         ),
         ([(0, 0), (50, 0), (5, 1)], {}, r"turns by 3.1 rad at one point, \(50.0, 0.0\) \[m\]: a kink"),
         ([(0, 0), (3, 0)], {}, "is 3.0 m long, expected 10 to 200000"),
@@ -100,16 +98,11 @@ def test_a_course_comes_back_from_its_file(tmp_path: FilePath) -> None:
     at = np.linspace(0.0, one.path.length, 500)
     assert np.hypot(*(again.point(at) - one.path.point(at)).T).max() < 1e-3
     assert np.abs(again.kappa(at) - one.path.kappa(at)).max() < 2e-3
+    with pytest.raises(ValueError, match=r"p.csv: its first line says .* m, its points make .*: cut short"):
+        course_of("\n".join(one.text().splitlines()[:-3]), "p.csv")
     one.to_csv(str(tmp_path / "p.csv"))
     third = read_course(str(tmp_path / "p.csv") + "#noise=0")
     assert third.path.length == pytest.approx(one.path.length, abs=1e-3)
-
-
-def test_a_course_that_is_cut_short_is_noticed() -> None:
-    lines = made(BENT, noise=0.5).text().splitlines()
-    course_of("\n".join(lines), "yard.csv")
-    with pytest.raises(ValueError, match=r"yard.csv: its first line says .* m, its points make .*: cut short"):
-        course_of("\n".join(lines[:-3]), "yard.csv")
 
 
 def ring(radius: float, step: float, noise: float, seed: int) -> np.ndarray:

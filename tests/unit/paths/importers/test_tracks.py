@@ -1,5 +1,6 @@
 """GPX, GeoJSON and CSV as their writers write them."""
 
+import contextlib
 import json
 import math
 from collections.abc import Callable
@@ -51,7 +52,7 @@ def test_geojson_lines(tmp_path: FilePath) -> None:
     assert [[b, a] for a, b in zip(track.a, track.b)] == positions
     assert (track.name, track.drawn) == ("yard", True)
     times = [f"2026-11-22T15:00:{k:02d}Z" for k in range(41)]
-    (timed,) = geojson(str(road_files.geojson(XY, file, more={"coordTimes": times})))
+    (timed,) = geojson(str(road_files.geojson(XY, file, coordTimes=times)))
     assert not timed.drawn
     assert np.diff(timed.t) == pytest.approx(1.0)
 
@@ -108,6 +109,15 @@ def test_csv_with_noise_speed_and_rounds(tmp_path: FilePath) -> None:
     assert made.v[0] == pytest.approx(4.0, abs=1e-3)
     assert made.v[-1] == pytest.approx(4.4, abs=1e-3)
     assert made.path.length == pytest.approx(201.1, abs=0.2)
+
+
+def test_a_csv_file_is_as_long_as_its_first_line_says(tmp_path: FilePath) -> None:
+    """There and back beside it: 201 m, closed 202 m."""
+    file, rows = tmp_path / "a.csv", [f"{x},{y}" for y, way in ((0, 1), (1, -1)) for x in range(0, 102, 2)[::way]]
+    for kind, said, fits in (("open", 201.9, 1), ("open", 202.0, 0), ("closed", 202.9, 1), ("closed", 203.0, 0)):
+        file.write_text("\n".join([f"# a: {kind} path, {said} m", "x,y", *rows]))
+        with contextlib.nullcontext() if fits else pytest.raises(ValueError, match="its points make 20"):
+            assert not csv(str(file))[0].t
 
 
 PATH = course("circle")

@@ -6,7 +6,7 @@ from xml.etree.ElementTree import Element
 
 import pytest
 
-from steerkit.paths.importers.xml_stream import get, number, records, root_of, value
+from steerkit.paths.importers.xml_stream import get, number, records, value
 
 BOMB = """<?xml version="1.0"?><!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa">
 <!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]><gpx><name>&c;</name></gpx>"""
@@ -68,14 +68,3 @@ def test_a_large_file_takes_little_memory(tmp_path: FilePath) -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 2 * file.stat().st_size
-
-
-def test_the_root_tells_the_kind(tmp_path: FilePath) -> None:
-    file = tmp_path / "a.xml"
-    file.write_text('<?xml version="1.0"?>\n<!-- map --><k:osm xmlns:k="u"/>', encoding="utf-8")
-    assert root_of(file) == "osm"
-    file.write_text("plain", encoding="utf-8")
-    with pytest.raises(ValueError, match="no XML, damaged or cut off"):
-        root_of(file)
-    with pytest.raises(ValueError, match="cannot be read"):
-        root_of(tmp_path / "none.xml")
