@@ -16,6 +16,13 @@ def test_a_package_that_is_not_installed_is_named_with_the_extra_that_brings_it(
         optional("no_such.thing", "a.x: X", "logs")
 
 
+def test_what_does_not_hold_for_one_car_is_an_error() -> None:
+    require(np.array([True, True]), "Block", "never said")
+    for wrong in (False, np.array([True, False])):
+        with pytest.raises(ValueError, match=r"^Block: k = 0 \[1\], expected > 0$"):
+            require(wrong, "Block", "k = 0 [1], expected > 0")
+
+
 @dataclass
 class Numbers:
     """A field of each kind of range."""

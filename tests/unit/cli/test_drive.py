@@ -1,17 +1,26 @@
 """`steerkit drive` in simulation: options are heard, and what is one's own is driven too."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from steerkit._support.console import console
 from steerkit.cli import drive as command
 from steerkit.scenario import Scenario, write_scenario
 from steerkit.scenario import drive as evaluate
 from steerkit.vehicles import VEHICLES, vehicle_text
 from tests.support.own_controller import own_controller
 from tests.support.yard import yard
+
+
+def test_json_stands_alone_on_stdout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> None:
+    monkeypatch.setattr(console, "stderr", False)
+    said = cli("drive", "stanley", "--course", "circle", "--rounds", 0.05, "--out", tmp_path, "--json")
+    assert json.loads(said.out)["controller"] == "stanley"
+    assert "RMS e" in said.err
 
 
 def test_ones_own_controller_course_car_and_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Any) -> None:
