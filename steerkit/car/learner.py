@@ -109,7 +109,8 @@ class CarLearner(contextlib.ExitStack):
             self._idle = car_loop(config, self.link, resting, doe=self.learner_state.element, **how)
             self.filter_faults: Counter[str] = Counter()
             """What went wrong in the safety filter, and how often."""
-            self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy))
+            trusted = self.learner_state.trusted
+            self.follow = Follow(link=self.link, resting=self._idle, driving=self._with(policy), trusted=trusted)
             self.learner_state.wire(self._idle.inputs_of("controller"))
             stack.pop_all()
 

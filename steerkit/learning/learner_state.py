@@ -237,7 +237,7 @@ class LearnerState:
         self.names = setting.recorded()
         self.signals: dict[str, str] = {}
         """The signal of the loop for each of them."""
-        self.policy, self.net, self.trusted = policy, net, True
+        self.policy, self.net, self.trusted = policy, net, net > 0 or not setting.warms_up
         self.transitions = Transitions(self.names) if transitions is None else transitions
         self.counts = Counts(updates=net)
         self.before: Before | None = None
@@ -421,11 +421,12 @@ class LearnerState:
 
         within: |e| below which the supervisor hands over [m]. Every AGAIN, what was recorded is learned from.
         """
-        waits = not self.trusted and self.setting.models_recovery and self.trainer.idle(t)
-        if waits and t - self.counts.trained_t >= AGAIN:
+        waits, counts = not self.trusted and self.setting.models_recovery and self.trainer.idle(t), self.counts
+        recorded = len(self.transitions) * self.policy.dt
+        if waits and (t - counts.trained_t >= AGAIN if counts.updates else recorded >= self.setting.warm_up_seconds):
             self.train(t, trusted=False)
         calm = self._calm(within)
-        return self.counts.recovering(t, e=e, e_dot=e_dot, within=within, calm=calm, busy=self.trainer.busy)
+        return counts.recovering(t, e=e, e_dot=e_dot, within=within, calm=calm, busy=self.trainer.busy)
 
     def calm(self, e: float, e_dot: float, within: float = RELEASE) -> bool:
         """Is the car quiet enough on the path for a new net, or beside it and on its way there?

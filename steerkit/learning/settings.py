@@ -62,6 +62,9 @@ class Setting:
     """Distance driven by the learner after which it is trained anew while it drives on [m]; 0: at failures only."""
     fit_seconds: float = number(2.0, "s", low=0.0)
     """Driving time charged for one training [s]: its net can steer that much later."""
+    warm_up_seconds: float = number(4.0, "s", low=0.0)
+    """Driving of the recovery controller that the first net is learned from, where a model of the car is learned [s];
+    0: nets drawn at random steer first, as in 2007, and a fast car leaves its path by metres."""
     calm: float = number(0.3, "m/s", above=0.0)
     """|e_dot| below which a new net takes the wheel over from the recovery controller [m/s]: |e| < 0.1 m may be a fast
     crossing, and then it fails at once."""
@@ -85,6 +88,11 @@ class Setting:
         expected = "expected an element with a method action_for (see steerkit.doe.OutputElement)"
         not_invertible = f"doe = {self.doe!r} with safe, {expected}"
         require(self._invertible or not self.safe, "Setting", not_invertible)
+
+    @property
+    def warms_up(self) -> bool:
+        """Does the recovery controller steer first?"""
+        return self.models_recovery and self.warm_up_seconds > 0.0
 
     @cached_property
     def models_recovery(self) -> bool:
