@@ -14,7 +14,7 @@ from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.controllers.policy import COLUMNS
 from steerkit.learning.learner_state import Counts, LearnerState, untrained
 from steerkit.learning.nfq.iterate import FitSetting
-from steerkit.learning.settings import DEFAULT
+from steerkit.learning.settings import DEFAULT, Setting
 from steerkit.learning.trainer import Job, Result
 
 HOW = replace(DEFAULT, fit=FitSetting(nets=1), retrain_every_m=5.0, calm=0.3)
@@ -93,6 +93,31 @@ def test_where_a_model_is_learned_driving_under_recovery_is_recorded_for_it_and_
     assert record.own.tolist() == [False] * 2 + [True] * 3 + [False] * 5 + [True] == [row[4] for row in also]
     follows = record.episode[1:] == record.episode[:-1]
     np.testing.assert_array_equal(record.s[1:][follows], record.s_next[:-1][follows])
+
+
+def test_where_a_model_is_learned_recovery_drives_first_and_the_first_net_is_learned_from_that() -> None:
+    """80 samples, 4 s, of what it has recorded, however long no sample is."""
+    fed = Fed(setting=MODELS)
+    assert not fed.learner_state.trusted and fed.learner_state.steering.ready_from == math.inf
+    fed.drive(300, engaged=False, learning=False)  # a human steers
+    fed.drive(80, learning=False)
+    assert not fed.trainer.jobs
+    fed.drive(1, learning=False)
+    (job,) = fed.trainer.jobs
+    assert len(job.transitions) == 80 and not job.transitions.own.any()
+    fed.trainer.done()
+    fed.drive(1, learning=False)
+    fed.take_over(e=0.0)
+    assert fed.learner_state.trusted
+
+
+@pytest.mark.parametrize("setting", [HOW, replace(MODELS, warm_up_seconds=0.0)])
+def test_without_a_warm_up_a_net_drawn_at_random_steers_first(setting: Setting) -> None:
+    assert Fed(setting=setting).learner_state.steering.ready_from == 0.0
+
+
+def test_a_net_that_was_learned_before_steers_at_once() -> None:
+    assert Fed(setting=MODELS, net=3).learner_state.trusted
 
 
 def test_what_recovery_did_is_told_by_the_wheel_and_left_out_where_no_learner_would() -> None:
