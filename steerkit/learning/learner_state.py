@@ -217,7 +217,8 @@ class LearnerState:
     A policy is trusted until it fails; then the recovery controller keeps the wheel until a newer one takes over, when
     the car is calm. It is trained at each failure (`train`) and, while it drives, when it is `due`; new policies
     `take_over` between two samples. Where a model of the car is learned (`fit.imagined`), driving under recovery is
-    recorded for that, and the policy trained anew every AGAIN: a changed car is found while nobody can hand over.
+    recorded for that, and the policy trained anew every AGAIN: a changed car is found while nobody can hand over. The
+    first net is learned from `warm_up_seconds` of that, and nets drawn at random never steer.
     """
 
     def __init__(
@@ -419,7 +420,8 @@ class LearnerState:
     def recovering(self, t: float, *, e: float, e_dot: float, within: float = RELEASE) -> str | None:
         """The recovery controller steers at driving time t [s]: why it does not hand over, where that takes long.
 
-        within: |e| below which the supervisor hands over [m]. Every AGAIN, what was recorded is learned from.
+        within: |e| below which the supervisor hands over [m]. After the warm-up, and every AGAIN from then on, what was
+        recorded is learned from.
         """
         waits, counts = not self.trusted and self.setting.models_recovery and self.trainer.idle(t), self.counts
         recorded = len(self.transitions) * self.policy.dt
