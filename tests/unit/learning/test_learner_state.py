@@ -98,13 +98,15 @@ def test_where_a_model_is_learned_driving_under_recovery_is_recorded_for_it_and_
 def test_where_a_model_is_learned_recovery_drives_first_and_the_first_net_is_learned_from_that() -> None:
     """80 samples, 4 s, of what it has recorded, however long no sample is."""
     fed = Fed(setting=MODELS)
-    assert not fed.learner_state.trusted and fed.learner_state.steering.ready_from == math.inf
+    assert not fed.learner_state.trusted
+    assert fed.learner_state.steering.ready_from == math.inf
     fed.drive(300, engaged=False, learning=False)  # a human steers
     fed.drive(80, learning=False)
     assert not fed.trainer.jobs
     fed.drive(1, learning=False)
     (job,) = fed.trainer.jobs
-    assert len(job.transitions) == 80 and not job.transitions.own.any()
+    assert len(job.transitions) == 80
+    assert not job.transitions.own.any()
     fed.trainer.done()
     fed.drive(1, learning=False)
     fed.take_over(e=0.0)
