@@ -253,7 +253,7 @@ def learners(options: argparse.Namespace, those: spread.Workers) -> dict[str, An
     seeds = range(options.first_seed, options.first_seed + (1 if quick else options.seeds))
     minutes = 0.07 if quick else options.minutes
     jobs = [
-        Experiment(setting=replace(DEFAULT, safe=safe), scenario=car, seed=seed, minutes=minutes)
+        Experiment(setting=replace(DEFAULT, safe=safe, warm_up_seconds=0.0), scenario=car, seed=seed, minutes=minutes)
         for seed in seeds
         for safe in ((True, False) if seed - options.first_seed < options.compare else (True,))
         for car in cars
@@ -265,6 +265,8 @@ def learners(options: argparse.Namespace, those: spread.Workers) -> dict[str, An
 
 def one_run(experiment: Experiment) -> dict[str, Any]:
     """Let one car learn, with the filter or without; a good net is looked for only with it, test drives are without.
+
+    Nets drawn at random steer first, which is what a filter has to stand.
 
     max_e: largest |e| after the first second [m]. interventions_pct: samples of the last minute in which the learner's
     command was mixed with the backup's.

@@ -19,6 +19,9 @@ PATIENCE = 20.0
 """Time for which the recovery controller may steer before the run reports that it cannot hand over [s]."""
 AGAIN = 10.0
 """Time after which what was recorded under the recovery controller is learned from again, while that steers [s]."""
+EARLY = 5
+"""Trainings until which the next one comes sooner, where a model of the car is learned: the n-th after n/EARLY of
+`retrain_every_m`. A record of seconds grows fast."""
 ENOUGH = 200
 """Transitions of a car that is known to have changed from which on it is learned from them alone: 10 s."""
 MEMORY = 2.0
@@ -348,6 +351,8 @@ class LearnerState:
     def due(self) -> bool:
         """Is it time to train anew while driving on?"""
         every, counts = self.setting.retrain_every_m, self.counts
+        if self.setting.models_recovery:
+            every *= min(1.0, counts.updates / EARLY)
         return every > 0.0 and not self.trainer.busy and counts.driven - counts.trained_at >= every
 
     def train(self, t: float, *, trusted: bool) -> None:

@@ -159,7 +159,7 @@ def test_a_dead_time_that_the_filter_finds_goes_into_the_policy_and_the_recordin
 
     monkeypatch.setattr(LearnerState, "arrives", found)
     monkeypatch.setattr(learner_state, "ENOUGH", 40)
-    how = replace(SAFE, fit=replace(SAFE.fit, imagined=20, dead_time=0.6))
+    how = replace(SAFE, fit=replace(SAFE.fit, imagined=20, dead_time=0.6), warm_up_seconds=0.0)
     learner = learned(tmp_path, monkeypatch, 3.0, how)
     samples = round((0.3 + loops.design_model_of(CONFIG).delay) / 0.05)
     (file,) = [file for file in (tmp_path / "run" / "nets").iterdir() if "dead" in file.name]
