@@ -95,7 +95,7 @@ LONG = ("learner", "learner that forecasts", "torque", "adaptive")
 def loop_of(name: str, seed: int) -> Loop:
     """Somewhere on its course, as the seed has it."""
     scenario, parts = LOOPS[name]
-    return assembled(scenario, **parts, seed=seed, s=37.0 * seed)
+    return assembled(scenario.with_(course={"start": 37.0 * seed}), **parts, seed=seed)
 
 
 def require_same(log: Log, reference: Log, what: str, bound: float = 1e-12) -> None:

@@ -1,6 +1,7 @@
 """`steerkit learn`, and `show` of its run directory."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,8 @@ def test_learn_from_a_config_then_show_it_and_go_on(tmp_path: Path, monkeypatch:
     assert "ends in .gif" in cli("show", place, "--film", tmp_path / "film.avi", code=2).err
     assert "show --film: takes one run" in cli("show", place, place, "--film", film, code=2).err
     assert "takes one run" in cli("show", place, place, "--diagnostics", code=2).err
-    both = cli("show", place, place, "--json")
+    other = shutil.copytree(place, tmp_path / "other")
+    both = cli("show", place, other, "--json")
     assert [row["failures"] for row in both.json["runs"]] == 2 * [merit["failures"]]
     assert both.json["runs"][0]["drive"]["rms_e"] == shown["drives"][0]["rms_e"]
     assert "2 runs" in both.err
