@@ -110,9 +110,8 @@ KINDS: Mapping[str, Callable[[], tuple[Scenario, ...]]] = MappingProxyType(
 
 def suite_loop(scenario: Scenario, controller: Block, *, doe: Block | None = None, seed: int = 0) -> Loop:
     """The loop of a suite's drive, which begins END_MARGIN behind the start of an open course."""
-    if not scenario.path().closed:
-        scenario = scenario.with_(course={"start": END_MARGIN})
-    return drive_loop(scenario, controller, doe=doe, seed=seed)
+    start = {} if scenario.path().closed else {"start": END_MARGIN}
+    return drive_loop(scenario.with_(course=start), controller, doe=doe, seed=seed)
 
 
 def facts(scenario: Scenario) -> dict[str, Any]:

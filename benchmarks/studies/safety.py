@@ -264,9 +264,7 @@ def learners(options: argparse.Namespace, those: spread.Workers) -> dict[str, An
 
 
 def one_run(experiment: Experiment) -> dict[str, Any]:
-    """Let one car learn, with the filter or without; a good net is looked for only with it, test drives are without.
-
-    Nets drawn at random steer first, which is what a filter has to stand.
+    """Let one car learn, random nets first, with the filter or without; only with it is a good net looked for.
 
     max_e: largest |e| after the first second [m]. interventions_pct: samples of the last minute in which the learner's
     command was mixed with the backup's.
