@@ -5,9 +5,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from steerkit.controllers.delay_compensator import LONGEST
 from steerkit.controllers.nfq_policy import NfqPolicy
-from steerkit.controllers.policy import DOE, PSI_E
+from steerkit.controllers.policy import DOE, PSI_E, V
+from steerkit.diagram.units import radians_of
 from steerkit.doe import OutputElement
 from steerkit.learning.data.transitions import Transitions
 from steerkit.learning.nfq import iterate as nfq
@@ -19,6 +22,11 @@ PATIENCE = 20.0
 """Time for which the recovery controller may steer before the run reports that it cannot hand over [s]."""
 AGAIN = 10.0
 """Time after which what was recorded under the recovery controller is learned from again, while that steers [s]."""
+TURNS = radians_of(0.3)
+"""Action from which a sample of the recovery controller's driving counts for the warm-up [rad]: on a straight road
+without noise nothing is seen of the car, and the first net leaves the path in the first bend."""
+WAITS = 5.0
+"""How many times longer the warm-up lasts where the wheel does not turn [1]."""
 EARLY = 5
 """Trainings until which the next one comes sooner, where a model of the car is learned: the n-th after n/EARLY of
 `retrain_every_m`. A record of seconds grows fast."""
@@ -429,11 +437,16 @@ class LearnerState:
         recorded is learned from.
         """
         waits, counts = not self.trusted and self.setting.models_recovery and self.trainer.idle(t), self.counts
-        recorded = len(self.transitions) * self.policy.dt
-        if waits and (t - counts.trained_t >= AGAIN if counts.updates else recorded >= self.setting.warm_up_seconds):
+        if waits and (t - counts.trained_t >= AGAIN if counts.updates else self._warmed_up()):
             self.train(t, trusted=False)
         calm = self._calm(within)
         return counts.recovering(t, e=e, e_dot=e_dot, within=within, calm=calm, busy=self.trainer.busy)
+
+    def _warmed_up(self) -> bool:
+        """Is there enough driving in which the wheel turns, which shows the car, or WAITS times as much of any?"""
+        record, enough = self.transitions, self.setting.warm_up_seconds / self.policy.dt
+        turns = np.abs(record.a) * self.policy.description.excess(record.s[:, V]) ** 2 >= TURNS
+        return np.count_nonzero(turns) >= enough or len(record) >= WAITS * enough
 
     def calm(self, e: float, e_dot: float, within: float = RELEASE) -> bool:
         """Is the car quiet enough on the path for a new net, or beside it and on its way there?

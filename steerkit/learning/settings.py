@@ -63,8 +63,9 @@ class Setting:
     fit_seconds: float = number(2.0, "s", low=0.0)
     """Driving time charged for one training [s]: its net can steer that much later."""
     warm_up_seconds: float = number(4.0, "s", low=0.0)
-    """Driving of the recovery controller that the first net is learned from, where a model of the car is learned [s];
-    0: nets drawn at random steer first, as in 2007, and a fast car leaves its path by metres."""
+    """Driving of the recovery controller that the first net is learned from, where a model of the car is learned: time
+    in which the wheel turns, or five times as much of any [s]. 0: nets drawn at random steer first, as in 2007, and a
+    fast car leaves its path by metres."""
     calm: float = number(0.3, "m/s", above=0.0)
     """|e_dot| below which a new net takes the wheel over from the recovery controller [m/s]: |e| < 0.1 m may be a fast
     crossing, and then it fails at once."""

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from steerkit.controllers.delay_compensator import PREVIEW, DelayCompensator
 from steerkit.controllers.policy import COLUMNS
+from steerkit.diagram.units import radians_of
 from steerkit.learning.learner_state import Counts, LearnerState, untrained
 from steerkit.learning.nfq.iterate import FitSetting
 from steerkit.learning.settings import DEFAULT, Setting
@@ -95,22 +96,27 @@ def test_where_a_model_is_learned_driving_under_recovery_is_recorded_for_it_and_
     np.testing.assert_array_equal(record.s[1:][follows], record.s_next[:-1][follows])
 
 
-def test_where_a_model_is_learned_recovery_drives_first_and_the_first_net_is_learned_from_that() -> None:
-    """80 samples, 4 s, of what it has recorded, however long no sample is."""
+@pytest.mark.parametrize(
+    ("turn_deg", "v", "samples"), [(0.31, 5.0, 80), (0.29, 5.0, 400), (0.08, 16.0, 80), (0.0, 5.0, 400)]
+)
+def test_where_a_model_is_learned_recovery_drives_first_and_the_first_net_is_learned_from_that(
+    turn_deg: float, v: float, samples: int
+) -> None:
+    """80 samples, 4 s, in which the wheel turns, which a fast car's has to less; five times as many of any."""
     fed = Fed(setting=MODELS)
-    assert not fed.learner_state.trusted
-    assert fed.learner_state.steering.ready_from == math.inf
+    learner_state = fed.learner_state
+    assert learner_state.steering.ready_from == math.inf
     fed.drive(300, engaged=False, learning=False)  # a human steers
-    fed.drive(80, learning=False)
-    assert not fed.trainer.jobs
-    fed.drive(1, learning=False)
+    for number in range(1000, 1000 + samples + 1):
+        assert not fed.trainer.jobs
+        value = sampled((0.0, 0.0, v, 0.0, 0.0, radians_of(turn_deg) * number), math.nan)
+        learner_state.sample(number, 0.05 * number, value, learning=False, failed=False)
     (job,) = fed.trainer.jobs
-    assert len(job.transitions) == 80
+    assert len(job.transitions) == samples
     assert not job.transitions.own.any()
     fed.trainer.done()
-    fed.drive(1, learning=False)
     fed.take_over(e=0.0)
-    assert fed.learner_state.trusted
+    assert learner_state.trusted
 
 
 @pytest.mark.parametrize("setting", [HOW, replace(MODELS, warm_up_seconds=0.0)])
