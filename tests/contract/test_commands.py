@@ -130,8 +130,9 @@ def shell(bin_folder: Path) -> Iterator[Shell]:
 # ---- what the text has the reader make ------------------------------------------------------------------------------
 
 
-SHORT_DRIVES = "scenario.course = {name = 'circle', rounds = 0.1}\n"
-"""An experiment whose test drives, of which a run has two and `show` as many again, end after a tenth of a round."""
+SHORT_DRIVES = "scenario.course = {name = 'circle', rounds = 0.1}\nsetting.warm_up_seconds = 0.0\n"
+"""An experiment whose test drives, of which a run has two and `show` as many again, end after a tenth of a round; the
+first net, drawn at random, steers at once."""
 
 
 @pytest.fixture(scope="session")
